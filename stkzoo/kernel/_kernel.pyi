@@ -154,65 +154,6 @@ class KartObserver:
             ValueError: the arguments do not fit together.
         """
 
-class RacingObserver:
-    """Makes the observations of the ``racing`` view on a road.
-
-    The arguments after the road are :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`.
-
-    Args:
-        road: ``lines``, ``starts`` and ``along`` of a :class:`~stkzoo.wrappers.racing.RoadTable`;
-            an empty tuple if only :meth:`write` is called.
-        tables: tables of the view.
-        counts: sizes of the view's parts.
-        lengths: distances of the view [m].
-    """
-
-    def __new__(
-        cls,
-        road: tuple[npt.NDArray[np.float32], ...],
-        tables: tuple[npt.NDArray[np.float32], npt.NDArray[np.int8], npt.NDArray[np.int8]],
-        counts: tuple[int, int, int, int, int, int],
-        lengths: tuple[float, float, float, float, float, float],
-    ) -> RacingObserver: ...
-    def observe(
-        self,
-        data: bytes,
-        who: npt.NDArray[np.intp],
-        rows: npt.NDArray[np.intp],
-        out: npt.NDArray[np.float32],
-    ) -> None:
-        """Writes the view of each kart of ``who`` into a row of ``out``.
-
-        Args:
-            data: bytes of a snapshot.
-            who: ``(n,)`` indices of karts.
-            rows: ``(n,)`` row of each kart.
-            out: ``(N, SIZE)``, which is written.
-        """
-    def look(
-        self,
-        data: bytes,
-        who: npt.NDArray[np.intp],
-        looks: npt.NDArray[np.float32],
-        around: tuple[npt.NDArray[Any], ...],
-    ) -> None:
-        """Writes the surroundings of each kart of ``who``.
-
-        Args:
-            data: bytes of a snapshot.
-            who: ``(n,)`` indices of karts.
-            looks: ``(L,)`` distances at which the road is observed [m].
-            around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
-                Karts and items for which there is no room are left out.
-        """
-    def write(self, around: tuple[npt.NDArray[Any], ...], out: npt.NDArray[np.float32]) -> None:
-        """Writes the view of karts with given surroundings.
-
-        Args:
-            around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
-            out: ``(n, F)``; the first ``SIZE`` columns are written.
-        """
-
 class Mlp:
     """A multilayer perceptron in float32.
 
@@ -445,10 +386,10 @@ def join_rows(rows: tuple[Any, ...]) -> bytes | None:
     """
 
 def trace_roads(
-    starts: tuple[Any, ...],
-    ends: tuple[Any, ...],
-    widths: tuple[Any, ...],
-    most: int,
+    starts: npt.NDArray[np.float32],
+    ends: npt.NDArray[np.float32],
+    widths: npt.NDArray[np.float32],
+    counts: npt.NDArray[np.intp],
     rules: npt.NDArray[np.float64],
     lines: npt.NDArray[np.float32],
     looks: npt.NDArray[np.float32],
@@ -457,12 +398,12 @@ def trace_roads(
     """Writes the lines ahead of ``A`` karts, and the lines' points at some distances.
 
     Args:
-        starts: starts of the segments ahead of each kart, ordered by driving distance; the kart's
-            own segment comes first. If there are none, one segment of zero length at the kart is
-            used.
-        ends: their ends.
-        widths: their widths, vectors of one number.
-        most: largest number of segments used, at most 128.
+        starts: ``(A, P, 3)`` starts of the segments ahead of each kart, ordered by driving
+            distance; the kart's own segment comes first. P is at most 128.
+        ends: ``(A, P, 3)`` their ends.
+        widths: ``(A, P)`` their widths.
+        counts: ``(A,)`` number of segments of each kart. If there are none, one segment of zero
+            length at the kart is used.
         rules: ``(4,)`` distance between the line's points, distance below which segments touch,
             longest jump between segments that do not touch, and length of the straight extension
             beyond the last segment [m].
@@ -470,10 +411,10 @@ def trace_roads(
             written.
         looks: ``(L,)`` distances ahead of the karts, which are at the origin [m].
         points: ``(A, L, 4)`` points of the lines at these distances, which are written.
-    """
 
-def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None:
-    """Writes the vectors of each row, ``(A, n, 3)``, padded with ``blank``."""
+    Raises:
+        ValueError: the arrays do not fit together.
+    """
 
 def new_batch(like: Any, count: int) -> Any:
     """Returns a batch of ``count`` rows without content in the form of another batch.
@@ -490,4 +431,67 @@ def split_batch(batch: Any, agents: tuple[Any, ...]) -> dict[Any, Any]:
     """Returns the values of a batch's first rows by agent.
 
     Rows of arrays are views; the entries of arrays with one axis are Python numbers.
+    """
+
+def look_around(
+    road: tuple[Any, ...],
+    data: bytes,
+    who: npt.NDArray[np.intp],
+    looks: npt.NDArray[np.float32],
+    around: tuple[npt.NDArray[Any], ...],
+) -> None:
+    """Writes the surroundings of some karts on a road.
+
+    Args:
+        road: ``lines``, ``starts`` and ``along`` of a
+            :class:`~stkzoo.wrappers.racing.surroundings.RoadTable`, and the distance between the
+            points of a line [m].
+        data: bytes of a snapshot.
+        who: ``(n,)`` indices of karts.
+        looks: ``(L,)`` distances at which the road is observed [m].
+        around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, which are
+            written. Karts and items for which there is no room are left out.
+
+    Raises:
+        IndexError: a kart is on a segment that the road does not have.
+        ValueError: the arrays do not fit together.
+    """
+
+def write_racing_view(
+    tables: tuple[Any, ...],
+    around: tuple[npt.NDArray[Any], ...],
+    out: npt.NDArray[np.float32],
+) -> None:
+    """Writes the view ``racing`` of karts with given surroundings.
+
+    Args:
+        tables: :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`.
+        around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
+        out: ``(n, F)``; the first ``SIZE`` columns are written.
+
+    Raises:
+        ValueError: the arrays do not fit together.
+    """
+
+def observe_racing(
+    road: tuple[Any, ...],
+    tables: tuple[Any, ...],
+    data: bytes,
+    who: npt.NDArray[np.intp],
+    rows: npt.NDArray[np.intp],
+    out: npt.NDArray[np.float32],
+) -> None:
+    """Writes the view ``racing`` of each kart of ``who`` into a row of ``out``.
+
+    Args:
+        road: see :func:`look_around`.
+        tables: see :func:`write_racing_view`.
+        data: bytes of a snapshot.
+        who: ``(n,)`` indices of karts.
+        rows: ``(n,)`` row of each kart.
+        out: ``(N, SIZE)``, which is written.
+
+    Raises:
+        IndexError: a kart, its segment or its row does not exist.
+        ValueError: the arrays do not fit together.
     """

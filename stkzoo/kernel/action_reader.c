@@ -142,9 +142,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
         return NULL;
     }
     const int is_batch = count >= 0;
-    if (is_batch ? !as_indices(who, &slots) : !PyTuple_Check(who)) {
-        return PyErr_Occurred() ? NULL : PyErr_Format(PyExc_TypeError, "expected a tuple of agents");
-    }
+    if (!(is_batch ? as_indices(who, &slots) : is_tuple(who))) return NULL;
     const npy_intp size = is_batch ? slots.size : PyTuple_GET_SIZE(who);
     if (size != rows.size) {
         return PyErr_Format(PyExc_ValueError, "%zd actions for %zd rows", size, rows.size);
@@ -171,8 +169,8 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;
     Floats controls = {NULL, 1};
-    if (!PyTuple_Check(spec)) return refuse("an entry must be a tuple");
-    if (!PyArg_ParseTuple(spec, "ddpiO", &entry->low, &entry->high, &entry->is_whole,
+    if (!is_tuple(spec) ||
+        !PyArg_ParseTuple(spec, "ddpiO", &entry->low, &entry->high, &entry->is_whole,
                           &entry->column, &table) ||
         (table != Py_None && !as_floats(table, &controls))) {
         return -1;
@@ -193,7 +191,7 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 
 static int set_leaf(ActionReader *self, Leaf *leaf, PyObject *specs)
 {
-    if (!PyTuple_Check(specs)) return refuse("a leaf must be a tuple of entries");
+    if (!is_tuple(specs)) return -1;
     leaf->count = PyTuple_GET_SIZE(specs);
     if (!(leaf->entries = room_for(self, leaf->count, sizeof *leaf->entries))) return -1;
     for (npy_intp i = 0; i < leaf->count; i++) {

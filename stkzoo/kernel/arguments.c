@@ -43,6 +43,13 @@ CONVERTER(as_written_bytes, NPY_INT8, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_flags, NPY_BOOL, 0)
 CONVERTER(as_written_flags, NPY_BOOL, NPY_ARRAY_WRITEABLE)
 
+int is_tuple(PyObject *object)
+{
+    if (PyTuple_Check(object)) return 1;
+    PyErr_Format(PyExc_TypeError, "must be tuple, not %.50s", Py_TYPE(object)->tp_name);
+    return 0;
+}
+
 int are_below(Indices indices, npy_intp limit)
 {
     for (npy_intp i = 0; i < indices.size; i++) {

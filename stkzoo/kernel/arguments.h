@@ -36,6 +36,9 @@ int as_written_bytes(PyObject *object, void *bytes);
 int as_flags(PyObject *object, void *flags);
 int as_written_flags(PyObject *object, void *flags);
 
+/* Returns whether an object is a tuple; sets a TypeError if not. PyArg_ParseTuple needs one. */
+int is_tuple(PyObject *object);
+
 /* Returns whether all indices are at least 0 and below a limit. */
 int are_below(Indices indices, npy_intp limit);
 

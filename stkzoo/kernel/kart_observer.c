@@ -10,6 +10,8 @@
 #include <stddef.h>
 #include <string.h>
 
+enum { ITEMS, KARTS, PATHS, OWN, ACTIONS, NUM_GROUPS }; /* what the rows of an entry describe */
+
 /* A snapshot, and what one kart sees of it. */
 typedef struct {
     TrackGraph *track;
@@ -17,7 +19,8 @@ typedef struct {
     PyObject *kart_types; /* tuple */
     Snapshot snapshot;
     int is_polar;
-    npy_intp rows[4], real[4]; /* by group: number of rows, and number of those without padding */
+    npy_intp rows[NUM_GROUPS], real[NUM_GROUPS]; /* by group: number of rows, and number of those without padding */
+    Flags nitro, fire;
     /* of the observing kart: */
     const Kart *me;
     const void *records[3]; /* by source: HEADER, KART, SCENE */
@@ -26,7 +29,6 @@ typedef struct {
     const npy_int32 *ahead;
 } Scene;
 
-enum { ITEMS, KARTS, PATHS, OWN }; /* groups: what the rows of an entry describe */
 enum { NUMBER, CHOICE, MASK, NAME };
 enum { HEADER, KART, SCENE, NODES, WIDTHS, DISTANCES, NEAREST, MOTION }; /* sources of numbers */
 enum { IS_POINT = 1, IS_PLACE = 2 }; /* stored in the world frame; converted in a polar view */
@@ -75,6 +77,7 @@ static const Key KEYS[] = {
     {"items_mask", MASK, ITEMS, 1},
     {"karts_mask", MASK, KARTS, 1},
     {"paths_mask", MASK, PATHS, 1},
+    {"action_mask", MASK, ACTIONS, 1},
 };
 
 enum { NUM_KEYS = sizeof KEYS / sizeof *KEYS };
@@ -83,6 +86,9 @@ enum { NUM_KEYS = sizeof KEYS / sizeof *KEYS };
 typedef struct {
     const Key *key;
     PyObject *name;
+    int part;        /* of the batch that has the entry */
+    npy_intp offset; /* of the entry in a row of that part [elements] */
+    npy_intp values; /* one-hot length of a choice; 0 if it is written as a number */
     /* Tuples of rows that earlier calls returned, for lists of varying length; the oldest is at
        `next`. A tuple is reused if neither it nor its rows are referenced elsewhere, which costs a
        tenth of creating a new one. */
@@ -90,19 +96,25 @@ typedef struct {
     Py_ssize_t next;
 } Entry;
 
+/* An array of a batch, or a list of names. In a flat view, these are vectors of several entries. */
+typedef struct {
+    PyObject *name; /* NULL if the batch is this array */
+    int kind;
+    npy_intp width; /* number of elements in a row; 0 for an unused part of a flat view */
+} Part;
+
+enum { NUMBERS, CHOICES, ACTION_MASK }; /* parts of a flat view */
+
 typedef struct {
     OBJECT_HEAD
     Entry entries[NUM_KEYS];
-    int num_entries;
-    int sizes[4]; /* rows of each group; -1 for a variable number */
+    Part parts[NUM_KEYS];
+    int num_entries, num_parts;
+    int sizes[NUM_GROUPS]; /* rows of each group; -1 for a variable number */
     int is_polar, is_flat;
-    int needs[4]; /* whether there are entries of each group */
-    npy_intp num_continuous, num_discrete; /* sizes of a flat observer's vectors */
-    Indices joined;                        /* one-hot length of each choice; empty if not joined */
-    npy_intp num_ones;                     /* sum of these lengths */
-    npy_int64 *joined_choices;             /* room for the choices of one kart, if joined */
-    Flags nitro, fire;                     /* actions that need nitro, a powerup; empty: no mask */
-    PyObject *numbers, *choices, *mask;    /* names of a flat observer's arrays; NULL if none */
+    int needs[NUM_GROUPS]; /* whether there are entries of each group */
+    Indices joined;        /* one-hot length of each choice; empty if not joined */
+    Flags nitro, fire;     /* actions that need nitro, a powerup; empty: no mask */
 } KartObserver;
 
 /* ---------------------------------------------------------------- one kart's surroundings */
@@ -184,15 +196,26 @@ static npy_int64 item_type(const Scene *scene, npy_intp i)
     return scene->snapshot.items[scene->nearest[ITEMS][i].which].type;
 }
 
-static void write_choices(const Scene *scene, const Key *key, npy_int64 *out)
+/* Returns row i of a choice; 0 for padding. */
+static npy_int64 choice_at(const Scene *scene, const Key *key, npy_intp i)
 {
-    if (key->group == OWN) {
-        *out = choice_of(scene, key);
-        return;
+    if (key->group == OWN) return choice_of(scene, key);
+    return i < scene->real[ITEMS] ? item_type(scene, i) : 0;
+}
+
+/* Writes the one-hot encoding of a choice. Returns -1 with an exception set if the choice is out of
+   range. */
+static int write_ones(const Scene *scene, const Entry *entry, float *out)
+{
+    for (npy_intp i = 0; i < scene->rows[entry->key->group]; i++, out += entry->values) {
+        const npy_int64 choice = choice_at(scene, entry->key, i);
+        if (choice < 0 || choice >= entry->values) {
+            PyErr_Format(PyExc_IndexError, "%U is out of its range", entry->name);
+            return -1;
+        }
+        for (npy_intp value = 0; value < entry->values; value++) out[value] = value == choice;
     }
-    for (npy_intp i = 0; i < scene->rows[ITEMS]; i++) {
-        out[i] = i < scene->real[ITEMS] ? item_type(scene, i) : 0;
-    }
+    return 0;
 }
 
 /* Writes another kart's velocity over the ground in the observing kart's frame [m/s], or its heading
@@ -348,11 +371,6 @@ static PyObject *choice_rows(const Scene *scene)
     return tuple;
 }
 
-static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
-{
-    for (npy_intp i = 0; i < scene->rows[key->group]; i++) out[i] = i < scene->real[key->group];
-}
-
 /* Returns the value of an entry in Gymnasium's format: lists are tuples of arrays or numbers. */
 static PyObject *value_of(const Scene *scene, Entry *entry)
 {
@@ -381,54 +399,31 @@ static PyObject *as_dict(KartObserver *observer, const Scene *scene)
     return dict;
 }
 
-/* Writes 0 for actions without effect, else 1: actions that press nitro with an empty tank, and
-   actions that fire without a powerup. */
-static void write_action_mask(const KartObserver *observer, const Kart *kart, npy_int8 *out)
-{
-    const npy_intp count = observer->nitro.size; /* read before the loop, which writes bytes */
-    const npy_bool *nitro = observer->nitro.data, *fire = observer->fire.data;
-    const int no_nitro = !(kart->energy > 0), no_powerup = kart->powerup_type == 0;
-    for (npy_intp i = 0; i < count; i++) {
-        out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
-    }
-}
-
-/* One-hot encodes the choices of a flat view. Returns -1 with an exception set if one is out of
-   range. */
-static int write_ones(const KartObserver *observer, float *ones)
-{
-    const Indices joined = observer->joined;
-    for (npy_intp i = 0; i < joined.size; ones += joined.data[i++]) {
-        const npy_int64 choice = observer->joined_choices[i];
-        if (choice < 0 || choice >= joined.data[i]) {
-            PyErr_Format(PyExc_IndexError, "choice %zd is out of its range", i);
-            return -1;
-        }
-        for (npy_intp value = 0; value < joined.data[i]; value++) ones[value] = value == choice;
-    }
-    return 0;
-}
-
 /* ---------------------------------------------------------------- rows of a batch */
 
-/* Where values are written: the address in the first row, and the distance between rows [bytes]. */
-typedef struct {
-    char *first;
-    npy_intp step;
-} Column;
-
-enum { ALL_NUMBERS = NUM_KEYS, ACTION_MASK, NUM_COLUMNS }; /* after the columns of the entries */
-
-static void *at_row(const Column *column, npy_intp row)
+/* Writes 1 for real rows and 0 for padding. In the mask of actions, writes 0 for those without
+   effect: they press nitro with an empty tank, or fire without a powerup. */
+static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
 {
-    return column->first + column->step * row;
+    const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
+    const npy_bool *nitro = scene->nitro.data, *fire = scene->fire.data;
+    const int no_nitro = !(scene->me->energy > 0), no_powerup = scene->me->powerup_type == 0;
+    for (npy_intp i = 0; i < rows; i++) {
+        out[i] = key->group == ACTIONS ? !((no_nitro && nitro[i]) || (no_powerup && fire[i]))
+                                       : i < real;
+    }
 }
 
-/* Finds the batch's array `name`, or the batch itself if `name` is NULL. Returns -1 with an exception
-   set if it is of another type, if it does not have `width` numbers per slot, or if it does not have
-   all of `rows`. */
-static int find_column(PyObject *batch, PyObject *name, int kind, npy_intp width, Indices rows,
-                       Column *column)
+/* Where values are written: the address in the first row, and the size of a row and of an element
+   [bytes]. */
+typedef struct {
+    char *first;
+    npy_intp row_size, size;
+} Column;
+
+/* Finds a part of a batch. Returns -1 with an exception set if it is of another type, or if it does
+   not have all of `rows`. */
+static int find_column(const Part *part, PyObject *batch, Indices rows, Column *column)
 {
     static const struct { int (*converter)(PyObject *, void *); npy_intp size; } TYPES[] = {
         [NUMBER] = {as_written_floats, sizeof(float)},
@@ -436,74 +431,38 @@ static int find_column(PyObject *batch, PyObject *name, int kind, npy_intp width
         [MASK] = {as_written_bytes, sizeof(npy_int8)},
     };
     struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
-    if (name && !PyDict_Check(batch)) {
-        PyErr_SetString(PyExc_TypeError, "a batch of this view must be a dict of arrays");
-        return -1;
-    }
-    PyObject *array = name ? PyDict_GetItemWithError(batch, name) : batch;
-    if (!array) PyErr_Format(PyExc_ValueError, "the batch has no %U", name);
-    if (!array || !TYPES[kind].converter(array, &numbers)) return -1;
+    PyObject *array = part->name ? PyDict_GetItemWithError(batch, part->name) : batch;
+    if (!array) PyErr_Format(PyExc_ValueError, "the batch has no %U", part->name);
+    if (!array || !TYPES[part->kind].converter(array, &numbers)) return -1;
     const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
     const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
-    if (numbers.size != count * width) {
-        PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %V", name, "numbers");
+    if (numbers.size != count * part->width) {
+        PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %V", part->name, "numbers");
         return -1;
     }
     if (!are_below(rows, count)) {
         PyErr_SetString(PyExc_IndexError, "a row index is out of range");
         return -1;
     }
-    *column = (Column){numbers.data, width * TYPES[kind].size};
+    const npy_intp size = TYPES[part->kind].size;
+    *column = (Column){numbers.data, part->width * size, size};
     return 0;
 }
 
-/* Finds the columns of a flat view: the entries follow each other in the vectors of numbers and of
-   choices. Choices to be one-hot encoded go to a vector of the observer's own. */
-static int find_vectors(const KartObserver *observer, const Scene *scene, Indices rows,
-                        PyObject *batch, Column *columns)
+/* Writes an entry into a row of a batch. Returns -1 with an exception set on failure. */
+static int write_entry(const Scene *scene, const Entry *entry, int is_mask, void *out)
 {
-    Column numbers, choices = {(char *)observer->joined_choices, 0};
-    if (find_column(batch, observer->numbers, NUMBER, observer->num_continuous + observer->num_ones,
-                    rows, &numbers) < 0 ||
-        (!observer->joined.data && find_column(batch, observer->choices, CHOICE,
-                                               observer->num_discrete, rows, &choices) < 0) ||
-        (observer->nitro.data && find_column(batch, observer->mask, MASK, observer->nitro.size, rows,
-                                             columns + ACTION_MASK) < 0)) {
-        return -1;
-    }
-    columns[ALL_NUMBERS] = numbers;
-    for (int i = 0; i < observer->num_entries; i++) {
-        const Key *key = observer->entries[i].key;
-        const npy_intp count = scene->rows[key->group] * key->width;
-        columns[i] = key->kind == CHOICE ? choices : numbers;
-        if (key->kind == CHOICE) choices.first += count * (npy_intp)sizeof(npy_int64);
-        else numbers.first += count * (npy_intp)sizeof(float);
+    const Key *key = entry->key;
+    if (entry->values) return write_ones(scene, entry, out);
+    if (key->kind == CHOICE) {
+        npy_int64 *choices = out;
+        for (npy_intp i = 0; i < scene->rows[key->group]; i++) choices[i] = choice_at(scene, key, i);
+    } else if (is_mask) {
+        write_mask(scene, key, out);
+    } else {
+        write_numbers(scene, key, out);
     }
     return 0;
-}
-
-/* Finds the columns of a dict view, in which names have none. */
-static int find_arrays(const KartObserver *observer, const Scene *scene, Indices rows,
-                       PyObject *batch, Column *columns)
-{
-    if (!PyDict_Check(batch)) return refuse("a batch of this view must be a dict of arrays");
-    for (int i = 0; i < observer->num_entries; i++) {
-        const Entry *entry = observer->entries + i;
-        const Key *key = entry->key;
-        if (key->kind != NAME && find_column(batch, entry->name, key->kind,
-                                             scene->rows[key->group] * key->width, rows,
-                                             columns + i) < 0) {
-            return -1;
-        }
-    }
-    return 0;
-}
-
-static void write_entry(const Scene *scene, const Key *key, int is_flat, void *out)
-{
-    if (key->kind == CHOICE) write_choices(scene, key, out);
-    else if (key->kind == MASK && !is_flat) write_mask(scene, key, out);
-    else write_numbers(scene, key, out);
 }
 
 /* Writes the names into lists of a batch. Call this after writing the numbers, because replacing a
@@ -512,9 +471,10 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
                       PyObject *batch)
 {
     int status = 0;
-    for (int i = 0; !status && i < observer->num_entries; i++) {
-        if (observer->entries[i].key->kind != NAME) continue;
-        PyObject *list = Py_XNewRef(PyDict_GetItemWithError(batch, observer->entries[i].name));
+    for (const Part *part = observer->parts; !status && part < observer->parts + observer->num_parts;
+         part++) {
+        if (part->kind != NAME) continue;
+        PyObject *list = Py_XNewRef(PyDict_GetItemWithError(batch, part->name));
         if (!list || !PyList_Check(list)) status = refuse("the names of a batch must be a list");
         for (npy_intp n = 0; !status && n < who.size; n++) {
             PyObject *name = Py_XNewRef(PyTuple_GetItem(scene->kart_types, who.data[n]));
@@ -529,25 +489,30 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
 static int write_rows(const KartObserver *observer, Scene *scene, Indices who, Indices rows,
                       PyObject *batch)
 {
-    Column columns[NUM_COLUMNS];
-    const int is_flat = observer->is_flat;
-    if ((is_flat ? find_vectors : find_arrays)(observer, scene, rows, batch, columns) < 0) return -1;
-    for (npy_intp i = 0; i < who.size; i++) {
-        const npy_intp row = rows.data[i];
-        if (look(observer, scene, who.data[i]) < 0) return -1;
-        for (int n = 0; n < observer->num_entries; n++) {
-            const Key *key = observer->entries[n].key;
-            if (key->kind != NAME) write_entry(scene, key, is_flat, at_row(columns + n, row));
-        }
-        if (observer->nitro.data) {
-            write_action_mask(observer, scene->me, at_row(columns + ACTION_MASK, row));
-        }
-        if (observer->joined.data) {
-            float *numbers = at_row(columns + ALL_NUMBERS, row);
-            if (write_ones(observer, numbers + observer->num_continuous) < 0) return -1;
+    Column columns[NUM_KEYS];
+    if (observer->parts->name && !PyDict_Check(batch)) {
+        return refuse("a batch of this view must be a dict of arrays");
+    }
+    for (int n = 0; n < observer->num_parts; n++) {
+        const Part *part = observer->parts + n;
+        if (part->width && part->kind != NAME && find_column(part, batch, rows, columns + n) < 0) {
+            return -1;
         }
     }
-    return is_flat ? 0 : names_into(observer, scene, who, rows, batch);
+    for (npy_intp i = 0; i < who.size; i++) {
+        if (look(observer, scene, who.data[i]) < 0) return -1;
+        for (int n = 0; n < observer->num_entries; n++) {
+            const Entry *entry = observer->entries + n;
+            const int kind = observer->parts[entry->part].kind;
+            const Column *column = columns + entry->part;
+            if (kind == NAME) continue;
+            char *row = column->first + column->row_size * rows.data[i];
+            if (write_entry(scene, entry, kind == MASK, row + column->size * entry->offset) < 0) {
+                return -1;
+            }
+        }
+    }
+    return names_into(observer, scene, who, rows, batch);
 }
 
 /* ---------------------------------------------------------------- entries of other environments */
@@ -569,23 +534,33 @@ PyObject *to_polar(PyObject *Py_UNUSED(module), PyObject *points)
 
 /* ---------------------------------------------------------------- the type */
 
-/* Completes a scene from its parsed arguments and allocates nearest[ITEMS], which the caller frees.
-   Returns -1 with an exception set on failure. */
-static int set_scene(const KartObserver *observer, Scene *scene)
+/* Reads the arguments of both methods: track, num_paths, kart_types, data and who, and for rows of a
+   batch also rows and batch. Allocates nearest[ITEMS], which the caller frees. Returns -1 with an
+   exception set on failure. */
+static int open_scene(const KartObserver *observer, Scene *scene, PyObject *args, Indices *who,
+                      Indices *rows, PyObject **batch)
 {
+    if (!PyArg_ParseTuple(args, batch ? "O!nO!O&O&O&O" : "O!nO!O&O&", &TrackGraphType,
+                          &scene->track, &scene->num_paths, &PyTuple_Type, &scene->kart_types,
+                          as_snapshot, &scene->snapshot, as_indices, who, as_indices, rows, batch)) {
+        return -1;
+    }
+    const Header *header = scene->records[HEADER] = scene->snapshot.header;
+    if (check_rows("kart", *who, header->num_kart, batch ? *rows : *who, NPY_MAX_INTP) < 0) return -1;
     if (scene->num_paths < 0 || scene->num_paths > scene->track->num_nodes) {
         PyErr_Format(PyExc_ValueError, "%zd of %zd segments", scene->num_paths,
                      scene->track->num_nodes);
         return -1;
     }
-    const Header *header = scene->records[HEADER] = scene->snapshot.header;
-    const npy_intp there[] = {header->num_items, header->num_kart - 1, scene->num_paths, 1};
-    for (int group = 0; group < 4; group++) {
+    const npy_intp there[] = {header->num_items, header->num_kart - 1, scene->num_paths, 1,
+                              observer->nitro.size};
+    for (int group = 0; group < NUM_GROUPS; group++) {
         const npy_intp size = observer->sizes[group];
         scene->rows[group] = size < 0 ? there[group] : size;
         scene->real[group] = size < 0 || there[group] < size ? there[group] : size;
     }
     scene->is_polar = observer->is_polar;
+    scene->nitro = observer->nitro, scene->fire = observer->fire;
     scene->records[SCENE] = scene;
     Near *room = PyMem_Malloc((size_t)(header->num_items + header->num_kart) * sizeof *room);
     if (!room) PyErr_NoMemory();
@@ -600,13 +575,7 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     KartObserver *observer = (KartObserver *)self;
     Scene scene;
     Indices who;
-    if (!PyArg_ParseTuple(args, "O!nO!O&O&", &TrackGraphType, &scene.track, &scene.num_paths,
-                          &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
-                          &who) ||
-        check_rows("kart", who, scene.snapshot.header->num_kart, who, NPY_MAX_INTP) < 0 ||
-        set_scene(observer, &scene) < 0) {
-        return NULL;
-    }
+    if (open_scene(observer, &scene, args, &who, NULL, NULL) < 0) return NULL;
     PyObject *list = grow(observer, who.size) == 0 ? PyList_New(who.size) : NULL;
     for (npy_intp i = 0; list && i < who.size; i++) {
         PyObject *seen =
@@ -623,25 +592,31 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
    names, or one array if the view is one vector. */
 static PyObject *observer_observe_into(PyObject *self, PyObject *args)
 {
-    KartObserver *observer = (KartObserver *)self;
+    const KartObserver *observer = (KartObserver *)self;
     Scene scene;
     Indices who, rows;
     PyObject *batch;
-    if (!PyArg_ParseTuple(args, "O!nO!O&O&O&O", &TrackGraphType, &scene.track, &scene.num_paths,
-                          &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
-                          &who, as_indices, &rows, &batch)) {
-        return NULL;
-    }
-    if (check_rows("kart", who, scene.snapshot.header->num_kart, rows, NPY_MAX_INTP) < 0 ||
-        set_scene(observer, &scene) < 0) {
-        return NULL;
-    }
+    if (open_scene(observer, &scene, args, &who, &rows, &batch) < 0) return NULL;
     const int status = write_rows(observer, &scene, who, rows, batch);
     PyMem_Free(scene.nearest[ITEMS]);
     return status < 0 ? NULL : Py_NewRef(Py_None);
 }
 
-static int add_entry(KartObserver *observer, PyObject *name)
+/* Sets the one-hot length of an entry from those of its choices, which begin at `first`. */
+static int join(const KartObserver *observer, Entry *entry, npy_intp first, npy_intp count)
+{
+    const npy_intp *values = observer->joined.data + first;
+    if (count > observer->joined.size - first) return refuse("joined has too few choices");
+    entry->values = count ? *values : 1;
+    for (npy_intp i = 0; i < count; i++) {
+        if (values[i] != *values || values[i] < 1 || values[i] > NPY_MAX_INT32) {
+            return refuse("the choices of an entry must have equal numbers of values, at least 1");
+        }
+    }
+    return 0;
+}
+
+static int add_entry(KartObserver *observer, PyObject *name, npy_intp *num_choices)
 {
     const Key *key = KEYS;
     if (!PyUnicode_Check(name)) return refuse("the name of an entry must be text");
@@ -650,49 +625,45 @@ static int add_entry(KartObserver *observer, PyObject *name)
         PyErr_Format(PyExc_ValueError, "there is no entry named %S", name);
         return -1;
     }
-    if (observer->is_flat && key->kind == NAME) return refuse("a flat view has no names");
+    const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
+    const int is_flat = observer->is_flat, is_choice = key->kind == CHOICE;
+    if (is_flat && key->kind == NAME) return refuse("a flat view has no names");
+    if (is_flat && rows < 0) return refuse("the lists of a flat view need fixed sizes");
+    if (observer->num_entries == NUM_KEYS) return refuse("too many entries");
     PyObject *pool = keep(observer, PyList_New(0));
     if (!pool) return -1;
-    const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
-    if (rows < 0 && observer->is_flat) return refuse("the lists of a flat view need fixed sizes");
-    observer->entries[observer->num_entries++] = (Entry){key, name, pool, 0};
+    const int number = observer->num_entries++;
+    Entry *entry = observer->entries + number;
+    *entry = (Entry){.key = key, .name = name, .pool = pool, .part = number};
+    if (is_flat) {
+        const int is_number = !is_choice || observer->joined.data;
+        entry->part = key->group == ACTIONS ? ACTION_MASK : is_number ? NUMBERS : CHOICES;
+        if (is_choice && is_number && join(observer, entry, *num_choices, rows) < 0) return -1;
+        if (is_choice) *num_choices += rows;
+    } else {
+        observer->parts[observer->num_parts++] = (Part){name, key->kind, 0};
+    }
+    Part *part = observer->parts + entry->part;
+    entry->offset = part->width;
+    part->width += rows * (entry->values ? entry->values : key->width);
     observer->needs[key->group] = 1;
-    if (key->kind == CHOICE) observer->num_discrete += rows;
-    else observer->num_continuous += rows * key->width;
     return 0;
 }
 
-/* Reads the optional parts of a flat view: one-hot choices and an action mask. Returns -1 with an
-   exception set if they are invalid. */
-static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro, PyObject *fire)
+/* Sets the parts of a flat view, and adds the entry of the action mask if there is one. */
+static int add_parts(KartObserver *observer)
 {
-    if ((joined != Py_None && !as_indices(joined, &observer->joined)) ||
-        (nitro != Py_None &&
-         !(as_flags(nitro, &observer->nitro) && as_flags(fire, &observer->fire)))) {
-        return -1;
-    }
-    for (npy_intp i = 0; i < observer->joined.size; i++) {
-        const npy_intp values = observer->joined.data[i];
-        if (values < 0 || values > NPY_MAX_INT32) return refuse("a choice has too few or many values");
-        observer->num_ones += values;
-    }
-    if (joined != Py_None &&
-        (!observer->is_flat || observer->joined.size != observer->num_discrete)) {
-        return refuse("joined must have one count for each choice of a flat view");
-    }
-    if (nitro != Py_None && (!observer->is_flat || observer->fire.size != observer->nitro.size)) {
-        return refuse("a mask must be part of a flat view and as long as nitro");
-    }
     const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
-    observer->joined_choices = room_for(observer, observer->joined.size, sizeof(npy_int64));
-    if (!observer->joined_choices) return -1;
-    PyObject *list = Py_BuildValue("[ssss]", "continuous", "discrete", "observation", "action_mask");
-    if (!keep(observer, list)) return -1;
-    observer->numbers = !is_joined ? PyList_GET_ITEM(list, 0) : PyList_GET_ITEM(list, 2);
-    if (is_joined && !has_mask) observer->numbers = NULL;
-    observer->choices = PyList_GET_ITEM(list, 1);
-    observer->mask = PyList_GET_ITEM(list, 3);
-    return 0;
+    PyObject *texts = keep(observer, Py_BuildValue("[sss]", is_joined ? "observation" : "continuous",
+                                                   "discrete", "action_mask"));
+    if (!texts) return -1;
+    const int kinds[] = {NUMBER, CHOICE, MASK};
+    for (int part = NUMBERS; part <= ACTION_MASK; part++) {
+        observer->parts[part] = (Part){PyList_GET_ITEM(texts, part), kinds[part], 0};
+    }
+    if (is_joined && !has_mask) observer->parts[NUMBERS].name = NULL;
+    observer->num_parts = ACTION_MASK + 1;
+    return has_mask ? add_entry(observer, observer->parts[ACTION_MASK].name, NULL) : 0;
 }
 
 static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwargs)
@@ -701,19 +672,31 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
                             "flat",  "joined", "nitro", "fire",  NULL};
     PyObject *names, *joined = Py_None, *nitro = Py_None, *fire = Py_None;
     int *sizes = observer->sizes;
-    sizes[ITEMS] = sizes[KARTS] = sizes[PATHS] = sizes[OWN] = -1;
+    for (int group = 0; group < NUM_GROUPS; group++) sizes[group] = -1;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiippOOO", words, &PyTuple_Type, &names,
                                      sizes + ITEMS, sizes + KARTS, sizes + PATHS,
                                      &observer->is_polar, &observer->is_flat, &joined, &nitro,
-                                     &fire)) {
+                                     &fire) ||
+        (joined != Py_None && !as_indices(joined, &observer->joined)) ||
+        (nitro != Py_None &&
+         !(as_flags(nitro, &observer->nitro) && as_flags(fire, &observer->fire)))) {
         return -1;
     }
-    const Py_ssize_t count = PyTuple_GET_SIZE(names);
-    if (count > NUM_KEYS) return refuse("too many entries");
-    for (Py_ssize_t i = 0; i < count; i++) {
-        if (add_entry(observer, PyTuple_GET_ITEM(names, i)) < 0) return -1;
+    if (!observer->is_flat && (joined != Py_None || nitro != Py_None)) {
+        return refuse("only a flat view can be joined or have a mask of actions");
     }
-    return set_extras(observer, joined, nitro, fire);
+    if (observer->fire.size != observer->nitro.size || observer->nitro.size > NPY_MAX_INT32) {
+        return refuse("nitro and fire must have equal lengths");
+    }
+    if (nitro != Py_None) sizes[ACTIONS] = (int)observer->nitro.size;
+    if (observer->is_flat && add_parts(observer) < 0) return -1;
+    npy_intp num_choices = 0;
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(names); i++) {
+        if (add_entry(observer, PyTuple_GET_ITEM(names, i), &num_choices) < 0) return -1;
+    }
+    return joined == Py_None || num_choices == observer->joined.size
+               ? 0
+               : refuse("joined must have one count for each choice");
 }
 
 KERNEL_TYPE(KartObserver, observer, "Makes the observations of one view.",

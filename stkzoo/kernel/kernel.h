@@ -93,13 +93,15 @@ void free_object(PyObject *self);
     };
 
 PyObject *join_rows(PyObject *module, PyObject *rows);
+PyObject *look_around(PyObject *module, PyObject *args);
 PyObject *new_batch(PyObject *module, PyObject *args);
+PyObject *observe_racing(PyObject *module, PyObject *args);
 PyObject *reward_term(PyObject *module, PyObject *args);
 PyObject *split_batch(PyObject *module, PyObject *args);
-PyObject *stack_vectors(PyObject *module, PyObject *args);
 PyObject *to_polar(PyObject *module, PyObject *points);
 PyObject *trace_roads(PyObject *module, PyObject *args);
+PyObject *write_racing_view(PyObject *module, PyObject *args);
 
-extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, MlpType, RacingObserverType, ActionReaderType, StepScorerType;
+extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, MlpType, ActionReaderType, StepScorerType;
 
 #endif

@@ -67,12 +67,14 @@ void free_object(PyObject *self)
 
 static PyMethodDef methods[] = {
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
+    {"look_around", look_around, METH_VARARGS, "Writes the surroundings of karts."},
     {"new_batch", new_batch, METH_VARARGS, "Returns a batch without content."},
+    {"observe_racing", observe_racing, METH_VARARGS, "Writes the view `racing` of karts."},
     {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
     {"split_batch", split_batch, METH_VARARGS, "Returns the values of a batch's rows."},
-    {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
     {"to_polar", to_polar, METH_O, "Returns positions as two angles and a distance."},
     {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},
+    {"write_racing_view", write_racing_view, METH_VARARGS, "Writes the view `racing` for surroundings."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -88,7 +90,7 @@ PyMODINIT_FUNC PyInit__kernel(void)
 {
     static PyTypeObject *const TYPES[] = {
         &ActionReaderType,  &CarControllerType,  &EventCounterType, &GameStepperType,
-        &KartObserverType,  &MlpType, &RacingObserverType, &StepScorerType,   &TrackGraphType,
+        &KartObserverType,  &MlpType, &StepScorerType,   &TrackGraphType,
     };
     import_array();
     PyObject *kernel = PyModule_Create(&module);

@@ -10,84 +10,8 @@ enum { POINT_SPACING, TOUCHING, LONGEST_JUMP, TAIL, NUM_RULES };
 /* The segments ahead of a kart. */
 typedef struct {
     npy_intp count;
-    float starts[MOST_SEGMENTS][3], ends[MOST_SEGMENTS][3], widths[MOST_SEGMENTS];
+    const float (*starts)[3], (*ends)[3], *widths;
 } Segments;
-
-/* ---------------------------------------------------------------- vectors */
-
-/* Copies a vector of `width` numbers and returns 1. Returns 0 if it cannot be converted, with an
-   exception set, or if it has another size, without an exception. */
-static int read_vector(PyObject *vector, npy_intp width, float *out)
-{
-    PyArrayObject *array = (PyArrayObject *)vector;
-    if (PyArray_CheckExact(vector) && PyArray_TYPE(array) == NPY_FLOAT32 &&
-        PyArray_ISCARRAY_RO(array)) {
-        Py_INCREF(vector);
-    } else {
-        array = (PyArrayObject *)PyArray_FROMANY(vector, NPY_FLOAT32, 0, 1,
-                                                 NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST);
-    }
-    const int fits = array && PyArray_SIZE(array) == width;
-    const float *data = fits ? PyArray_DATA(array) : NULL;
-    for (npy_intp i = 0; fits && i < width; i++) out[i] = data[i];
-    Py_XDECREF(array);
-    return fits;
-}
-
-/* Copies at most `most` vectors from an array or a sequence of arrays. Returns the number of
-   vectors copied, or -1 with an exception set. */
-static npy_intp read_vectors(PyObject *rows, npy_intp width, npy_intp most, float *out)
-{
-    if (PyArray_Check(rows)) {
-        PyArrayObject *array = (PyArrayObject *)PyArray_FROMANY(
-            rows, NPY_FLOAT32, 0, 2, NPY_ARRAY_CARRAY_RO | NPY_ARRAY_FORCECAST);
-        if (!array) return -1;
-        const npy_intp size = PyArray_SIZE(array), count = size / width;
-        const npy_intp taken = count < most ? count : most;
-        if (size == count * width) {
-            memcpy(out, PyArray_DATA(array), (size_t)(taken * width) * sizeof *out);
-        }
-        Py_DECREF(array);
-        return size == count * width ? taken : refuse("vectors have the wrong width");
-    }
-    PyObject *all = PySequence_Fast(rows, "expected vectors");
-    if (!all) return -1;
-    npy_intp taken = 0;
-    int fits = 1;
-    for (; fits && taken < most && taken < PySequence_Fast_GET_SIZE(all); taken++) {
-        PyObject *row = PySequence_Fast_GET_ITEM(all, taken);
-        Py_INCREF(row);
-        fits = read_vector(row, width, out + width * taken);
-        Py_DECREF(row);
-    }
-    Py_DECREF(all);
-    return fits ? taken : refuse("vectors have the wrong width");
-}
-
-/* stack_vectors(rows, blank, out): writes the vectors of each row, padded with `blank`. */
-PyObject *stack_vectors(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    PyObject *rows;
-    float blank;
-    Floats out;
-    if (!PyArg_ParseTuple(args, "O!fO&", &PyTuple_Type, &rows, &blank, as_written_floats, &out)) {
-        return NULL;
-    }
-    const npy_intp count = PyTuple_GET_SIZE(rows), most = count ? out.size / (3 * count) : 0;
-    if (out.size != 3 * most * count) {
-        return PyErr_Format(PyExc_ValueError,
-                            "out must have the same number of vectors in each row");
-    }
-    for (npy_intp i = 0; i < count; i++) {
-        float *row = out.data + 3 * most * i;
-        const npy_intp taken = read_vectors(PyTuple_GET_ITEM(rows, i), 3, most, row);
-        if (taken < 0) return NULL;
-        for (npy_intp k = 3 * taken; k < 3 * most; k++) row[k] = blank;
-    }
-    Py_RETURN_NONE;
-}
-
-/* ---------------------------------------------------------------- the line */
 
 static int is_touching(const Segments *s, double touching)
 {
@@ -176,24 +100,6 @@ static void trace(const Segments *s, const double *rules, npy_intp num_points, f
     interpolate(marks, (const double (*)[LINE_SIZE])points, last + 1, rules[POINT_SPACING], num_points, out);
 }
 
-/* Reads the segments of a kart. If there are none, uses one segment of zero length at the kart.
-   Returns -1 with an exception set on failure. */
-static int read_segments(Segments *s, PyObject *starts, PyObject *ends, PyObject *widths,
-                         npy_intp most)
-{
-    s->count = read_vectors(starts, 3, most, s->starts[0]);
-    if (s->count < 0) return -1;
-    const npy_intp num_ends = read_vectors(ends, 3, most, s->ends[0]);
-    if (num_ends < 0) return -1;
-    const npy_intp num_widths = read_vectors(widths, 1, most, s->widths);
-    if (num_widths < 0) return -1;
-    if (num_ends != s->count || num_widths != s->count) {
-        return refuse("there must be as many ends and widths of segments as starts");
-    }
-    if (!s->count) memset(s, 0, sizeof *s), s->count = 1;
-    return 0;
-}
-
 /* Writes points of a line of `num_points` points at distances ahead of a kart. The kart is at the
    origin, on the first segment. */
 static void look_ahead(const Segments *s, const float *line, npy_intp num_points, float spacing,
@@ -207,36 +113,44 @@ static void look_ahead(const Segments *s, const float *line, npy_intp num_points
     }
 }
 
-/* trace_roads(starts, ends, widths, most, rules, lines, looks, points): writes the lines ahead of
-   karts, and the lines' points at some distances. */
+/* trace_roads(starts, ends, widths, counts, rules, lines, looks, points): writes the lines ahead of
+   karts, and the lines' points at some distances. Kart i has counts[i] segments. */
 PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *starts, *ends, *widths;
-    npy_intp most;
     Doubles rules;
-    Floats lines, looks, points;
-    if (!PyArg_ParseTuple(args, "O!O!O!nO&O&O&O&", &PyTuple_Type, &starts, &PyTuple_Type, &ends,
-                          &PyTuple_Type, &widths, &most, as_doubles, &rules, as_written_floats,
+    Indices counts;
+    Floats starts, ends, widths, lines, looks, points;
+    if (!PyArg_ParseTuple(args, "O&O&O&O&O&O&O&O&", as_floats, &starts, as_floats, &ends, as_floats,
+                          &widths, as_indices, &counts, as_doubles, &rules, as_written_floats,
                           &lines, as_floats, &looks, as_written_floats, &points)) {
         return NULL;
     }
-    const npy_intp count = PyTuple_GET_SIZE(starts);
-    const npy_intp num_points = count ? lines.size / (LINE_SIZE * count) : 0;
-    if (PyTuple_GET_SIZE(ends) != count || PyTuple_GET_SIZE(widths) != count ||
-        lines.size != LINE_SIZE * num_points * count || (count && num_points < 2) ||
-        points.size != LINE_SIZE * looks.size * count || rules.size != NUM_RULES || most < 1 ||
-        most > MOST_SEGMENTS || !((float)rules.data[POINT_SPACING] > 0)) {
-        return PyErr_Format(PyExc_ValueError, "the arrays of %zd roads do not fit together", count);
-    }
-    Segments segments;
-    for (npy_intp i = 0; i < count; i++) {
-        if (read_segments(&segments, PyTuple_GET_ITEM(starts, i), PyTuple_GET_ITEM(ends, i),
-                          PyTuple_GET_ITEM(widths, i), most) < 0) {
-            return NULL;
+    const npy_intp num_roads = counts.size, divisor = num_roads ? num_roads : 1;
+    const npy_intp most = widths.size / divisor, num_points = lines.size / (LINE_SIZE * divisor);
+    const npy_intp sizes[][2] = {
+        {widths.size, most * num_roads},
+        {starts.size, 3 * most * num_roads},
+        {ends.size, starts.size},
+        {lines.size, LINE_SIZE * num_points * num_roads},
+        {points.size, LINE_SIZE * looks.size * num_roads},
+        {rules.size, NUM_RULES},
+        {most <= MOST_SEGMENTS && are_below(counts, most + 1), 1},
+        {!num_roads || num_points >= 2, 1},
+    };
+    if (ARE_SIZES(sizes) < 0) return NULL;
+    const float spacing = (float)rules.data[POINT_SPACING];
+    if (!(spacing > 0)) return refuse("the distance between points must be positive"), NULL;
+    static const float NOWHERE[1][3] = {{0}}; /* a segment of zero length at the kart */
+    for (npy_intp i = 0; i < num_roads; i++) {
+        const npy_intp first = most * i;
+        Segments segments = {1, NOWHERE, NOWHERE, *NOWHERE};
+        if (counts.data[i]) {
+            segments = (Segments){counts.data[i], (const float (*)[3])starts.data + first,
+                                  (const float (*)[3])ends.data + first, widths.data + first};
         }
         float *line = lines.data + LINE_SIZE * num_points * i;
         trace(&segments, rules.data, num_points, line);
-        look_ahead(&segments, line, num_points, (float)rules.data[POINT_SPACING], looks,
+        look_ahead(&segments, line, num_points, spacing, looks,
                    points.data + LINE_SIZE * looks.size * i);
     }
     Py_RETURN_NONE;

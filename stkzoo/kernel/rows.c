@@ -17,7 +17,7 @@ static int is_like(PyArrayObject *row, PyArrayObject *first)
    not C-contiguous or holds Python objects. */
 PyObject *join_rows(PyObject *Py_UNUSED(module), PyObject *rows)
 {
-    if (!PyTuple_Check(rows)) return PyErr_Format(PyExc_TypeError, "expected a tuple");
+    if (!is_tuple(rows)) return NULL;
     const Py_ssize_t count = PyTuple_GET_SIZE(rows);
     PyArrayObject **row = (PyArrayObject **)&PyTuple_GET_ITEM(rows, 0);
     int are_alike = count > 0;

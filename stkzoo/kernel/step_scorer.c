@@ -314,8 +314,8 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
 {
     PyObject *names;
-    if (!PyTuple_Check(spec)) return refuse("a reward must be a tuple");
-    if (!PyArg_ParseTuple(spec, "O!O&O&", &PyTuple_Type, &names, as_doubles, &reward->weights,
+    if (!is_tuple(spec) ||
+        !PyArg_ParseTuple(spec, "O!O&O&", &PyTuple_Type, &names, as_doubles, &reward->weights,
                           as_indices, &reward->columns)) {
         return -1;
     }

@@ -127,7 +127,6 @@ def stepper_arguments():
 ROWS = {
     "ActionReader": "read",
     "KartObserver": "observe_into",
-    "RacingObserver": "observe",
     "StepScorer": "score_into infos_into",
 }
 
@@ -249,14 +248,11 @@ def test_a_block_with_too_few_items_is_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
 def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
-    observed = (case for case in cases["RacingObserver"] if case[2] == "observe")
-    args, _, _, (data, who, rows, out) = next(observed)
+    road, data, who, looks, around = cases["look_around"][0][0]
     karts = np.frombuffer(data, KART_DTYPE, len(who), HEADER_DTYPE.itemsize).copy()
     karts["location"] = place
     start, end = HEADER_DTYPE.itemsize, HEADER_DTYPE.itemsize + karts.nbytes
-    kernel.RacingObserver(*args).observe(
-        data[:start] + karts.tobytes() + data[end:], who, rows, out
-    )
+    kernel.look_around(road, data[:start] + karts.tobytes() + data[end:], who, looks, around)
 
 
 def test_a_table_without_rows_is_refused():
@@ -293,6 +289,5 @@ def test_a_conversion_can_clear_its_own_action():
 
 
 def test_arrays_in_a_list_are_refused(cases):
-    for args, _, method, values in {case[2]: case for case in cases["RacingObserver"]}.values():
-        assert check_lists_are_refused(kernel.RacingObserver, args)
-        check_lists_are_refused(getattr(kernel.RacingObserver(*args), method), values)
+    for name in ("look_around", "observe_racing", "write_racing_view"):
+        assert check_lists_are_refused(getattr(kernel, name), cases[name][0][0])

@@ -27,8 +27,8 @@ from stkzoo.views.chains import RecordsObserver
 from stkzoo.views.plan import Seats, ViewPlan
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
-from stkzoo.wrappers.racing import OWN_SIZE, SIZE, racing_features
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS
+from stkzoo.wrappers.racing import SIZE, racing_features
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, STEP
 from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadTable
 from stkzoo.wrappers.racing.wrapper import RoadObserver
 from tests import oracle
@@ -263,24 +263,13 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
     items["type"] = random.choice(list(ItemType), 12)
     snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
     table, who = road_of(random), np.arange(9)
-    observer, seen = RoadObserver(table), np.empty((9, SIZE), np.float32)
+    observer, seen, twin = RoadObserver(table), *np.empty((2, 9, SIZE), np.float32)
     observer.observe_into(snapshot, who, who, seen)
-    np.testing.assert_allclose(seen, seen_by_twin(snapshot, table, who)[0], atol=2e-4)
+    road = table.lines, table.starts, table.along, STEP
+    oracle.observe_racing(road, KERNEL_TABLES, snapshot.data, who, who, twin)
+    np.testing.assert_allclose(seen, twin, atol=2e-4)
     around = observer.surroundings(snapshot, who)
     np.testing.assert_array_equal(racing_features(around), seen)
-
-
-def seen_by_twin(snapshot, table, who):
-    """Returns the view and the surroundings of some karts from the oracle."""
-    road = table.lines, table.starts, table.along
-    twin = oracle.RacingObserver(road, *KERNEL_TABLES)
-    view = np.empty((len(who), SIZE), np.float32)
-    twin.observe(snapshot.data, who, np.arange(len(who)), view)
-    counts = ((OWN_SIZE,), (len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
-    around = [np.empty((len(who), *shape), np.float32) for shape in counts]
-    types = np.empty((len(who), len(snapshot.items)), np.int64)
-    twin.look(snapshot.data, who, LOOKS, (*around, types))
-    return view, (*around, types)
 
 
 def road_of(random):

@@ -28,13 +28,17 @@ def segments(chance, count):
 
 def roads_of(seed, counts=(1, 2, 5, 30, 96, 120, 0)):
     chance = np.random.default_rng(seed)
-    return tuple(zip(*(segments(chance, count) for count in counts), strict=True))
+    arrays = [np.full((len(counts), max(counts), size), np.nan, "f4") for size in (3, 3, 1)]
+    for number, count in enumerate(counts):
+        for array, part in zip(arrays, segments(chance, count), strict=True):
+            array[number, :count] = part
+    return *arrays[:2], arrays[2][..., 0], np.array(counts)
 
 
 def traced(trace, roads):
     count = len(roads[0])
     lines, points = (np.empty((count, size, 4), "f4") for size in (NUM_POINTS, len(LOOKS)))
-    trace(*roads, 96, _RULES, lines, LOOKS, points)
+    trace(*roads, _RULES, lines, LOOKS, points)
     return lines, points
 
 
@@ -46,22 +50,8 @@ def test_trace_roads_matches_the_oracle(seed):
         np.testing.assert_allclose(own, other, rtol=2e-6, atol=2e-5)
 
 
-@pytest.mark.parametrize("form", [tuple, list, np.float64])
-def test_segments_can_be_arrays_or_sequences(form):
-    roads = roads_of(0)
-    others = tuple(tuple(form(array) for array in part) for part in roads)
-    for own, other in zip(
-        traced(kernel.trace_roads, roads), traced(kernel.trace_roads, others), strict=True
-    ):
-        np.testing.assert_array_equal(own, other)
-
-
-def test_vectors_are_stacked_and_padded():
-    rows = (np.ones((2, 3), "f4"), [np.full(3, 2.0)], ())
-    ours, theirs = np.empty((3, 2, 3), np.float32), np.empty((3, 2, 3), np.float32)
-    kernel.stack_vectors(rows, np.inf, ours)
-    road_tracer.stack_vectors(rows, np.inf, theirs)
-    np.testing.assert_array_equal(ours, theirs)
-    assert ours[:, :, 0].tolist() == [[1, 1], [2, np.inf], [np.inf, np.inf]]
-    with pytest.raises(ValueError, match="same number of vectors"):
-        kernel.stack_vectors(rows, np.inf, np.empty((2, 2, 3), np.float32))
+@pytest.mark.parametrize("counts", [[121], [-1], [1, 1]])
+def test_numbers_of_segments_that_do_not_fit_are_refused(counts):
+    roads = *roads_of(0, (120,))[:3], np.array(counts)
+    with pytest.raises(ValueError, match="do not fit"):
+        traced(kernel.trace_roads, roads)

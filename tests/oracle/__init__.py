@@ -10,8 +10,8 @@ from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver
 from tests.oracle.mlp import Mlp
 from tests.oracle.observations import to_polar
-from tests.oracle.racing_observer import RacingObserver
-from tests.oracle.road_tracer import stack_vectors, trace_roads
+from tests.oracle.racing_observer import look_around, observe_racing, write_racing_view
+from tests.oracle.road_tracer import trace_roads
 from tests.oracle.rows import join_rows, new_batch, split_batch
 from tests.oracle.step_scorer import StepScorer, reward_term
 from tests.oracle.track_graph import TrackGraph
@@ -22,14 +22,15 @@ __all__ = [
     "EventCounter",
     "KartObserver",
     "Mlp",
-    "RacingObserver",
     "StepScorer",
     "TrackGraph",
     "join_rows",
+    "look_around",
     "new_batch",
+    "observe_racing",
     "reward_term",
     "split_batch",
-    "stack_vectors",
     "to_polar",
     "trace_roads",
+    "write_racing_view",
 ]

@@ -28,7 +28,6 @@ from stkzoo.wrappers.racing.features import (
     OWN_SIZE,
     PLACES,
     SIZE,
-    STEP,
     TYPES_GOOD,
 )
 from tests.oracle.observations import own_state
@@ -50,84 +49,63 @@ OWN_UNITS = {
 }
 
 
-class RacingObserver:
-    def __init__(
-        self,
-        road: Arrays,
-        tables: tuple[Any, ...],
-        counts: tuple[int, ...],
-        lengths: tuple[float, ...],
-    ) -> None:
-        del tables, counts, lengths
-        self._road = road
+def observe_racing(
+    road: tuple[Any, ...],
+    tables: tuple[Any, ...],
+    data: bytes,
+    who: IntArray,
+    rows: IntArray,
+    out: FloatArray,
+) -> None:
+    snapshot = Snapshot(data)
+    sizes = (OWN_SIZE,), (len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3)
+    parts = [np.empty((len(who), *size), np.float32) for size in sizes]
+    around = *parts, np.empty((len(who), len(snapshot.items)), np.int64)
+    look_around(road, data, who, LOOKS, around)
+    view = np.empty((len(who), SIZE), np.float32)
+    write_racing_view(tables, around, view)
+    out[rows] = view
 
-    def observe(
-        self,
-        data: bytes,
-        who: npt.NDArray[np.intp],
-        rows: npt.NDArray[np.intp],
-        out: FloatArray,
-    ) -> None:
-        snapshot = Snapshot(data)
-        counts = (len(LOOKS), len(snapshot.karts), len(snapshot.items))
-        around = tuple(
-            np.empty((len(who), count, width), np.float32)
-            for count, width in zip(counts, (4, 3, 3), strict=True)
-        )
-        types = np.empty((len(who), len(snapshot.items)), np.int64)
-        arrays = np.empty((len(who), OWN_SIZE), np.float32), *around, types
-        self.look(data, who, LOOKS, arrays)
-        view = np.empty((len(who), SIZE), np.float32)
-        self.write(arrays, view)
-        out[rows] = view
 
-    def look(
-        self,
-        data: bytes,
-        who: npt.NDArray[np.intp],
-        looks: FloatArray,
-        around: Arrays,
-    ) -> None:
-        snapshot = Snapshot(data)
-        state, (own, line, karts, items, types) = own_state(snapshot.karts[who]), around
-        for key, place in OWN_PLACES.items():
-            own[:, place] = np.reshape(state[key], (len(who), -1))
-        self._trace(data, who, looks, line)
-        locations, matrices = _frames(_records(snapshot, who))
-        others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
-        karts[:], items[:], types[:] = np.inf, 0, -1
-        karts[:, : others.shape[1]] = to_kart_frame(others, locations, matrices)
-        karts[np.arange(len(who)), who] = np.inf
-        items[:, : things.shape[1]] = to_kart_frame(things, locations, matrices)
-        types[:, : things.shape[1]] = snapshot.items["type"]
+def look_around(
+    road: tuple[Any, ...],
+    data: bytes,
+    who: IntArray,
+    looks: FloatArray,
+    around: Arrays,
+) -> None:
+    lines, starts, along, step = road
+    snapshot = Snapshot(data)
+    state, (own, points, karts, items, types) = own_state(snapshot.karts[who]), around
+    for key, place in OWN_PLACES.items():
+        own[:, place] = np.reshape(state[key], (len(who), -1))
+    records = _records(snapshot, who)
+    locations, matrices = _frames(records)
+    nodes = records["node"]
+    segments = starts[nodes] - locations, along[nodes]
+    before, share = line_places(*segments, looks, step, lines.shape[1])
+    first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
+    line = first + (second - first) * share[..., None]
+    points[..., :3] = to_kart_frame(line[..., :3], locations, matrices)
+    points[..., 3] = line[..., 3]
+    others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
+    karts[:], items[:], types[:] = np.inf, 0, -1
+    karts[:, : others.shape[1]] = to_kart_frame(others, locations, matrices)
+    karts[np.arange(len(who)), who] = np.inf
+    items[:, : things.shape[1]] = to_kart_frame(things, locations, matrices)
+    types[:, : things.shape[1]] = snapshot.items["type"]
 
-    def _trace(
-        self,
-        data: bytes,
-        who: npt.NDArray[np.intp],
-        looks: FloatArray,
-        out: FloatArray,
-    ) -> None:
-        lines, starts, along = self._road
-        records = _records(Snapshot(data), who)
-        locations, matrices = _frames(records)
-        nodes = records["node"]
-        segments = starts[nodes] - locations, along[nodes]
-        before, share = line_places(*segments, looks, STEP, lines.shape[1])
-        first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
-        points = first + (second - first) * share[..., None]
-        out[..., :3] = to_kart_frame(points[..., :3], locations, matrices)
-        out[..., 3] = points[..., 3]
 
-    def write(self, around: Arrays, out: FloatArray) -> None:
-        view = out[:, :SIZE]
-        state, road, karts, items, types = around
-        own = {key: state[:, place] for key, place in OWN_PLACES.items()}
-        _write_own(view, own)
-        _write_road(view, road)
-        _write_karts(view, karts)
-        _write_items(view, items, types)
-        np.clip(view, -5.0, 5.0, out=view)
+def write_racing_view(tables: tuple[Any, ...], around: Arrays, out: FloatArray) -> None:
+    del tables
+    view = out[:, :SIZE]
+    state, road, karts, items, types = around
+    own = {key: state[:, place] for key, place in OWN_PLACES.items()}
+    _write_own(view, own)
+    _write_road(view, road)
+    _write_karts(view, karts)
+    _write_items(view, items, types)
+    np.clip(view, -5.0, 5.0, out=view)
 
 
 def _records(snapshot: Snapshot, who: npt.NDArray[np.intp]) -> npt.NDArray[Any]:

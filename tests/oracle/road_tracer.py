@@ -12,26 +12,23 @@ from stkzoo.mdp.geometry import line_places, squared
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[Any]
-#: For each kart an array of vectors, or a sequence of vectors.
-Vectors = tuple[Any, ...]
 
 
 def trace_roads(
-    starts: Vectors,
-    ends: Vectors,
-    widths: Vectors,
-    most: int,
+    starts: FloatArray,
+    ends: FloatArray,
+    widths: FloatArray,
+    counts: IntArray,
     rules: DoubleArray,
     lines: FloatArray,
     looks: FloatArray,
     points: FloatArray,
 ) -> None:
     spacing, touching, longest_jump, tail = rules.tolist()
-    for number, segments in enumerate(zip(starts, ends, widths, strict=True)):
-        a, b, c = (_vectors(rows, width) for rows, width in zip(segments, (3, 3, 1), strict=True))
-        if not len(a):
-            a, b, c = np.zeros((1, 3), "f4"), np.zeros((1, 3), "f4"), np.zeros((1, 1), "f4")
-        a, b, c = a[:most], b[:most], c[:most, 0]
+    for number, count in enumerate(counts.tolist()):
+        a, b, c = (part[number, :count] for part in (starts, ends, widths))
+        if not count:
+            a, b, c = np.zeros((1, 3), "f4"), np.zeros((1, 3), "f4"), np.zeros(1, "f4")
         chain = _chain(a, b, touching, longest_jump)
         corners = np.empty((2 * len(chain) + 1, 3))
         corners[:-1:2], corners[1:-1:2] = a[chain], b[chain]
@@ -79,17 +76,3 @@ def _look_along(
     rows = np.arange(len(lines))[:, None]
     here, there = lines[rows, before], lines[rows, before + 1]
     out[:] = here + (there - here) * share[..., None]
-
-
-def stack_vectors(rows: Vectors, blank: float, out: FloatArray) -> None:
-    out[:] = blank
-    for number, row in enumerate(rows):
-        own = _vectors(row, 3)[: out.shape[1]]
-        out[number, : len(own)] = own
-
-
-def _vectors(rows: Any, width: int) -> FloatArray:
-    """Converts an array or a sequence of vectors to an array ``(n, width)``."""
-    if not isinstance(rows, np.ndarray):
-        rows = np.concatenate(rows) if len(rows) else np.zeros(0)
-    return np.asarray(rows, np.float32).reshape(-1, width)

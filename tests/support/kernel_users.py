@@ -4,7 +4,7 @@ import contextlib
 import importlib
 
 from stkzoo.engine.track import decode_track
-from stkzoo.wrappers.racing.wrapper import _writer, road_observer
+from stkzoo.wrappers.racing.wrapper import road_observer
 
 #: The modules that use the kernel's names.
 USERS = {
@@ -19,8 +19,8 @@ USERS = {
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.observations": ["to_polar"],
-    "wrappers.racing.surroundings": ["stack_vectors", "trace_roads"],
-    "wrappers.racing.wrapper": ["RacingObserver"],
+    "wrappers.racing.surroundings": ["join_rows", "trace_roads"],
+    "wrappers.racing.wrapper": ["look_around", "observe_racing", "write_racing_view"],
     "agents.pretrained.mlp": ["Mlp"],
     "agents.pretrained.policy": ["Mlp"],
 }
@@ -39,5 +39,5 @@ def replaced_kernel(patch, replacements):
 
 
 def _forget_objects():
-    for cache in (decode_track, road_observer, _writer):
+    for cache in (decode_track, road_observer):
         cache.cache_clear()

@@ -28,7 +28,7 @@ from stkzoo.wrappers.racing import (
     surroundings_of,
 )
 from stkzoo.wrappers.racing.features import MARKS, STEP
-from stkzoo.wrappers.racing.surroundings import NUM_POINTS, road_line
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS, traced
 from tests.support.generic_env import kart_env
 
 
@@ -149,10 +149,16 @@ def test_marks_are_on_the_center_line_at_their_distances(track):
             np.testing.assert_allclose(ahead, MARKS, atol=1.0, rtol=0.1)
 
 
+def road_line(starts, ends, width):
+    widths = np.full(len(starts), width, np.float32)
+    lines, _ = traced(starts[None], ends[None], widths[None], np.array([len(starts)]))
+    return lines[0]
+
+
 def test_a_straight_road_gives_a_straight_line():
     starts = np.array([[0, 0, 10.0 * n] for n in range(8)], np.float32)
     ends = starts + np.array([0, 0, 10], np.float32)
-    line = road_line(starts, ends, np.full(8, 6.0, np.float32))
+    line = road_line(starts, ends, 6.0)
     assert line.shape == (NUM_POINTS, 4)
     expected = STEP * np.arange(NUM_POINTS)  # also beyond the end of the road
     np.testing.assert_allclose(line[:, 2], expected, atol=1e-4)
@@ -163,7 +169,7 @@ def test_the_line_continues_after_a_short_gap_but_not_after_a_long_one():
     def side_of(gap):
         starts = np.array([[0, 0, 0], [3, 0, 10 + gap]], np.float32)
         ends = starts + np.array([0, 0, 10], np.float32)
-        return road_line(starts, ends, np.ones(2, np.float32))[-1, 0]
+        return road_line(starts, ends, 1.0)[-1, 0]
 
     assert side_of(12.0) == pytest.approx(3.0)
     assert side_of(30.0) == pytest.approx(0.0)
@@ -174,7 +180,7 @@ def test_at_a_fork_the_line_follows_the_connected_branch():
     branch = [[6, 0, 10], [6, 0, 20]]
     order = [main[0], main[1], branch[0], main[2], branch[1], main[3]]
     starts = np.array(order, np.float32)
-    line = road_line(starts, starts + np.array([0, 0, 10], np.float32), np.ones(6, np.float32))
+    line = road_line(starts, starts + np.array([0, 0, 10], np.float32), 1.0)
     assert np.abs(line[:, 0]).max() == 0.0
 
 

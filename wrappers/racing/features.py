@@ -128,12 +128,9 @@ ITEM_CLASSES[list(TYPESBAD)] = BAD
 ATTACHMENT_COLUMNS = np.full(16, -1, np.int8)
 ATTACHMENT_COLUMNS[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
 
-#: Arguments of the kernel's ``RacingObserver`` after the roads.
+#: The first arguments of the kernel's ``write_racing_view``.
 KERNEL_TABLES = (
-    (MARKS, ITEM_CLASSES, ATTACHMENT_COLUMNS),
-    (
-        *(NUM_POWERUPS, len(ATTACHMENTS), len(TYPES_GOOD)),
-        *(KARTS, GOODS, BADS),
-    ),
-    (STEP, BEYOND, KART_REACH, ITEM_REACH, ITEM_LEAST_AHEAD, ITEM_LEVEL),
+    *(LOOKS, ITEM_CLASSES, ATTACHMENT_COLUMNS),
+    (NUM_POWERUPS, len(ATTACHMENTS), len(TYPES_GOOD), KARTS, GOODS, BADS),
+    (KART_REACH, ITEM_REACH, ITEM_LEAST_AHEAD, ITEM_LEVEL),
 )

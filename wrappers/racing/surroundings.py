@@ -8,14 +8,15 @@ segments.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import stack_vectors, trace_roads
+from stkzoo.kernel import join_rows, trace_roads
 from stkzoo.wrappers.racing.features import LOOKS, OWN_PLACES, STEP
 
 if TYPE_CHECKING:
@@ -44,46 +45,34 @@ _TAIL = 150.0
 _RULES = np.array([STEP, _TOUCHING, _LONGEST_JUMP, _TAIL])
 _NO_LOOKS = np.zeros(0, np.float32)
 
-#: For each road an array of vectors, or a sequence of vectors.
-Vectors: TypeAlias = tuple[Any, ...]
-
-
-def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> FloatArray:
-    """Returns the line ahead of the first of several segments.
-
-    Args:
-        starts: ``(P, 3)`` starts of the nearest :data:`MAX_SEGMENTS` segments [m], in any frame,
-            ordered by driving distance; the kart's own segment comes first.
-        ends: ``(P, 3)`` ends of the segments [m].
-        widths: ``(P,)`` widths of the segments [m].
-
-    Returns:
-        ``(NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge [m].
-            Beyond the known road the line continues straight.
-    """
-    lines, _ = traced(((starts,), (ends,), (widths,)))
-    line: FloatArray = lines[0]
-    return line
-
 
 def traced(
-    segments: Iterable[Vectors], looks: FloatArray = _NO_LOOKS
+    starts: FloatArray,
+    ends: FloatArray,
+    widths: FloatArray,
+    counts: IntArray,
+    looks: FloatArray = _NO_LOOKS,
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the lines of several roads, and their points at some distances.
 
     Args:
-        segments: starts, ends and widths of the segments of each road; for each road an array or a
-            sequence of vectors.
+        starts: ``(A, P, 3)`` starts of the nearest :data:`MAX_SEGMENTS` segments of each road [m],
+            in any frame, ordered by driving distance; the kart's own segment comes first.
+        ends: ``(A, P, 3)`` ends of the segments [m].
+        widths: ``(A, P)`` widths of the segments [m].
+        counts: ``(A,)`` number of segments of each road; those after them are not used.
         looks: ``(L,)`` distances ahead of karts at the origin [m].
 
     Returns:
-        ``(A, NUM_POINTS, 4)`` see :func:`road_line`; ``(A, L, 4)`` points of these lines.
+        ``(A, NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge
+            [m]. Beyond the known road the line continues straight. ``(A, L, 4)`` float32: points of
+            these lines.
     """
-    starts, ends, widths = segments
-    lines = np.empty((len(starts), NUM_POINTS, 4), np.float32)
-    points = np.empty((len(starts), len(looks), 4), np.float32)
+    lines = np.empty((len(counts), NUM_POINTS, 4), np.float32)
+    points = np.empty((len(counts), len(looks), 4), np.float32)
+    starts, ends, widths = map(np.ascontiguousarray, (starts, ends, widths))
     looks = np.ascontiguousarray(looks, np.float32)
-    trace_roads(starts, ends, widths, MAX_SEGMENTS, _RULES, lines, looks, points)
+    trace_roads(starts, ends, widths, counts, _RULES, lines, looks, points)
     return lines, points
 
 
@@ -91,7 +80,7 @@ class RoadTable:
     """The lines ahead of all segments of a track.
 
     Attributes:
-        lines: ``(N, NUM_POINTS, 4)`` float32, world frame; see :func:`road_line`.
+        lines: ``(N, NUM_POINTS, 4)`` float32, world frame; see :func:`traced`.
         starts: ``(N, 3)`` float32, start of each segment [m].
         along: ``(N, 3)`` float32, vector from each segment's start to its end [m].
         length: length of a lap [m].
@@ -103,7 +92,8 @@ class RoadTable:
         self.along = track.path_nodes[:, 1] - track.path_nodes[:, 0]
         ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
         ends, widths = track.path_nodes[:, 1], track.path_width[:, 0]
-        self.lines, _ = traced(tuple(column[ahead]) for column in (self.starts, ends, widths))
+        counts = np.full(len(ahead), ahead.shape[1])
+        self.lines, _ = traced(self.starts[ahead], ends[ahead], widths[ahead], counts)
 
 
 #: Type number of a missing item.
@@ -152,13 +142,15 @@ def surroundings_of(
     seen = [observation] if isinstance(observation, Mapping) else observation
     keys = (*_KEYS, *(key for key in _LINE if key in seen[0]))
     batch = {key: [one[key] for one in seen] for key in keys}
-    _, road = traced((tuple(batch[key]) for key in _PATHS), looks)
+    paths = [[rows[:MAX_SEGMENTS] for rows in batch[key]] for key in _PATHS]
+    starts, ends, widths = map(_stacked, paths, (3, 3, 1))
+    _, road = traced(starts, ends, widths, np.array([len(rows) for rows in paths[0]]), looks)
     ego = [np.reshape(batch[key], (len(road), -1)) for key in OWN_PLACES]
     return Surroundings(
         ego=np.concatenate(ego, axis=1, dtype=np.float32),
         road=road,
-        karts=_stacked(batch["karts_position"], np.inf),
-        items=_stacked(batch["items_position"], 0.0),
+        karts=_stacked(batch["karts_position"], blank=np.inf),
+        items=_stacked(batch["items_position"]),
         item_types=_stacked_types(batch["items_type"]),
         line=_line_of(batch),
     )
@@ -169,10 +161,18 @@ _LINE = ("ground_line", "ground_room")
 _KEYS = (*OWN_PLACES, *_PATHS, "karts_position", "items_position", "items_type")
 
 
-def _stacked(rows: Sequence[Any], blank: float) -> FloatArray:
+def _stacked(rows: Sequence[Any], size: int = 3, blank: float = 0.0) -> FloatArray:
     """Stacks the karts' vectors, padded to equal lengths."""
-    stacked = np.empty((len(rows), max(map(len, rows)), 3), np.float32)
-    stack_vectors(tuple(rows), blank, stacked)
+    counts = [*map(len, rows)]
+    most = max(counts)
+    vectors = tuple(itertools.chain.from_iterable(rows))
+    joined = join_rows(vectors)
+    block = np.array(vectors) if joined is None else np.frombuffer(joined, vectors[0].dtype)
+    block = block.astype(np.float32, copy=False).reshape(-1, size)
+    if min(counts) == most:
+        return block.reshape(len(rows), most, size)
+    stacked = np.full((len(rows), most, size), blank, np.float32)
+    stacked[np.arange(most) < np.array(counts)[:, None]] = block
     return stacked
 
 

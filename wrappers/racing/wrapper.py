@@ -14,11 +14,11 @@ from gymnasium import spaces
 
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import RacingObserver
+from stkzoo.kernel import look_around, observe_racing, write_racing_view
 from stkzoo.mdp.spaces import action_of
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE, STEP
 from stkzoo.wrappers.racing.surroundings import (
     MAX_SEGMENTS,
     RoadTable,
@@ -129,8 +129,7 @@ class RoadObserver:
     """
 
     def __init__(self, road: RoadTable) -> None:
-        arrays = road.lines, road.starts, road.along
-        self._observer = RacingObserver(arrays, *KERNEL_TABLES)
+        self._road = road.lines, road.starts, road.along, STEP
 
     def observe_into(
         self, snapshot: Snapshot, karts: IntArray, rows: IntArray, views: FloatArray
@@ -143,7 +142,7 @@ class RoadObserver:
             rows: ``(A,)`` row of each kart.
             views: ``(N, SIZE)`` float32, modified in place.
         """
-        self._observer.observe(snapshot.data, karts, rows, views)
+        observe_racing(self._road, KERNEL_TABLES, snapshot.data, karts, rows, views)
 
     def surroundings(
         self, snapshot: Snapshot, karts: IntArray, looks: FloatArray = LOOKS
@@ -164,13 +163,8 @@ class RoadObserver:
             np.empty((count, len(snapshot.items)), np.int64),
         )
         looks = np.ascontiguousarray(looks, np.float32)
-        self._observer.look(snapshot.data, karts, looks, arrays)
+        look_around(self._road, snapshot.data, karts, looks, arrays)
         return Surroundings(*arrays)
-
-
-@functools.cache
-def _writer() -> RacingObserver:
-    return RacingObserver((), *KERNEL_TABLES)
 
 
 def racing_features(around: Surroundings, out: FloatArray | None = None) -> FloatArray:
@@ -184,7 +178,7 @@ def racing_features(around: Surroundings, out: FloatArray | None = None) -> Floa
         ``(A, SIZE)`` float32, or ``out``.
     """
     view = np.empty((len(around.road), SIZE), np.float32) if out is None else out
-    _writer().write(around.arrays, view)
+    write_racing_view(KERNEL_TABLES, around.arrays, view)
     return view
 
 
