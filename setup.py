@@ -45,7 +45,6 @@ _PARTS = (
     "event_counter",
     "game_stepper",
     "kart_observer",
-    "mlp",
     "racing_observer",
     "road_tracer",
     "rows",
@@ -53,6 +52,8 @@ _PARTS = (
     "track_graph",
     *(["libm"] if _IS_LINUX else []),
 )
+
+_PLANNING_PARTS = ("module", "memory", "network", "viewer", "weigher")
 
 if sys.platform == "win32":
     _FLAGS, _LIBRARIES = [], []
@@ -64,7 +65,7 @@ else:
 _KERNEL = Extension(
     "stkzoo.kernel._kernel",
     sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
-    depends=[f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel", "vectors")],
+    depends=[f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel")],
     include_dirs=[numpy.get_include()],
     # Hidden functions: the extensions then call their own libm, not that of the system.
     extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
@@ -73,13 +74,16 @@ _KERNEL = Extension(
 _PLANNING = Extension(
     "stkzoo.agents.planning._planning",
     sources=[
-        *(f"agents/planning/{part}.c" for part in ("module", "memory", "viewer", "weigher")),
+        *(
+            f"agents/planning/{part}.c"
+            for part in ("module", "memory", "network", "viewer", "weigher")
+        ),
         "stkzoo/kernel/arguments.c",
         *(["stkzoo/kernel/libm.c"] if _IS_LINUX else []),
     ],
     depends=[
-        "agents/planning/planning.h",
-        *(f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel", "vectors")),
+        *(f"agents/planning/{part}.h" for part in ("planning", "vectors")),
+        *(f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel")),
     ],
     include_dirs=[numpy.get_include(), "stkzoo/kernel"],
     extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],

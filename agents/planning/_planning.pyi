@@ -9,6 +9,13 @@ def age_memory(
     speed: npt.NDArray[np.float32],
     skeed_factor: npt.NDArray[np.float32],
 ) -> None: ...
+def compute_layer(
+    matrix: npt.NDArray[np.float32],
+    bias: npt.NDArray[np.float32],
+    activation: int,
+    inputs: npt.NDArray[np.float32],
+    out: npt.NDArray[np.float32],
+) -> None: ...
 def plan_karts(
     plans: tuple[Any, ...],
     memory: npt.NDArray[np.float32],

@@ -183,6 +183,7 @@ PyObject *plan_karts(PyObject *Py_UNUSED(module), PyObject *args)
 
 static PyMethodDef methods[] = {
     {"age_memory", age_memory, METH_VARARGS, "Advances the memory of drivers by one step."},
+    {"compute_layer", compute_layer, METH_VARARGS, "Writes the outputs of a layer of a network."},
     {"plan_karts", plan_karts, METH_VARARGS, "Simulates and weighs the plans of karts."},
     {"write_memory", write_memory, METH_VARARGS, "Writes a policy's inputs from the memory."},
     {NULL, NULL, 0, NULL},

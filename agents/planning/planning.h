@@ -81,6 +81,7 @@ typedef float Best[NUM_BESTS][MANEUVERS];
 int as_rules(PyObject *object, void *rules); /* to const Rules * */
 
 PyObject *age_memory(PyObject *module, PyObject *args);
+PyObject *compute_layer(PyObject *module, PyObject *args);
 PyObject *plan_karts(PyObject *module, PyObject *args);
 PyObject *write_memory(PyObject *module, PyObject *args);
 

@@ -1,4 +1,4 @@
-"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, evaluated by the kernel.
+"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, evaluated without PyTorch.
 
 The file format is safetensors with the policy's state dict and its minimum steps of a drift.
 """
@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo.agents.planning import FloatArray, IntArray
+from stkzoo.agents.planning.network import Mlp
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import Mlp
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from .action_filter import INPUT_SIZE
@@ -76,8 +76,7 @@ class MlpDriver:
                 f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
             )
         self.hidden = tuple(sizes[1:-1])
-        turned = tuple((np.ascontiguousarray(matrix.T), bias) for matrix, bias in layers)
-        self._mlp = Mlp(turned, True)
+        self._mlp = Mlp([(matrix.T, bias) for matrix, bias in layers], True)
 
     def logits(self, observations: FloatArray) -> FloatArray:
         """Returns the logits of all choices, ``(A, 31)``; each row depends only on its own input.
@@ -85,9 +84,7 @@ class MlpDriver:
         Args:
             observations: ``(A, F)`` float32; the first :attr:`inputs` columns are the input.
         """
-        logits = np.empty((len(observations), sum(CHOICES)), np.float32)
-        self._mlp.evaluate(np.ascontiguousarray(observations, np.float32), logits)
-        return logits
+        return self._mlp(observations)
 
     def best(self, observations: FloatArray) -> IntArray:
         """Returns the most likely choices, ``(A, 5)``; each row depends only on its own input."""

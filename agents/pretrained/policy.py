@@ -14,8 +14,8 @@ from stkzoo.agents.planning.driver import (
     PolicyInput,
     likeliest,
 )
+from stkzoo.agents.planning.network import Mlp
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import Mlp
 
 #: Largest absolute value of a normalized input.
 INPUT_CLIP = 8.0
@@ -32,16 +32,12 @@ class Network:
 
     def __init__(self, weights: Mapping[str, FloatArray]) -> None:
         self._mean, self._scale = weights["mean"], weights["scale"]
-        self._outputs = len(weights["b2"])
-        self._mlp = Mlp(tuple((weights[f"w{n}"], weights[f"b{n}"]) for n in range(3)), False)
+        self._mlp = Mlp([(weights[f"w{n}"], weights[f"b{n}"]) for n in range(3)], False)
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Returns outputs ``(A, outputs)`` for inputs ``(A, F)``, row by row."""
         seen = inputs[:, : len(self._mean)]
-        seen = np.clip((seen - self._mean) * self._scale, -INPUT_CLIP, INPUT_CLIP)
-        outputs = np.empty((len(inputs), self._outputs), np.float32)
-        self._mlp.evaluate(seen, outputs)
-        return outputs
+        return self._mlp(np.clip((seen - self._mean) * self._scale, -INPUT_CLIP, INPUT_CLIP))
 
 
 def network_shapes(hidden: Sequence[int], *, holds: bool = True) -> dict[str, tuple[int, ...]]:

@@ -29,11 +29,11 @@ from stkzoo.agents.planning import BoolArray, FloatArray
 from stkzoo.agents.planning.driver import PlanDriver, PolicyInput
 from stkzoo.agents.planning.memory import PlanMemory
 from stkzoo.agents.planning.motion import LAYERS, WEIGHTS, MotionState
+from stkzoo.agents.planning.network import Mlp
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.kernel import Mlp
 from stkzoo.mdp import rotation_matrices
 from stkzoo.tracks import SPLITS
 
@@ -232,10 +232,8 @@ def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> 
 def errors_of(layers: Sequence[FloatArray], inputs: FloatArray, outputs: FloatArray) -> FloatArray:
     """Returns the errors of a network's outputs ``(N, 3)``, in the units of the outputs."""
     pairs = zip(layers[::2], layers[1::2], strict=True)
-    network = Mlp(tuple((np.ascontiguousarray(w.T), bias) for w, bias in pairs), False)
-    forecasts = np.empty_like(outputs)
-    network.evaluate(np.ascontiguousarray(inputs[:, :-1]), forecasts)  # plans use no nitro
-    return forecasts - outputs
+    network = Mlp([(w.T, bias) for w, bias in pairs], False)
+    return network(inputs[:, :-1]) - outputs  # plans use no nitro
 
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:

@@ -154,35 +154,6 @@ class KartObserver:
             ValueError: the arguments do not fit together.
         """
 
-class Mlp:
-    """A multilayer perceptron in float32.
-
-    Args:
-        layers: matrix ``(inputs, outputs)`` and bias ``(outputs,)`` of each layer.
-        is_tanh: whether tanh follows each layer except the last; otherwise a rectified linear unit
-            does.
-
-    Raises:
-        ValueError: the shapes do not fit.
-    """
-
-    def __new__(
-        cls,
-        layers: tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...],
-        is_tanh: bool,
-    ) -> Mlp: ...
-    def evaluate(self, inputs: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None:
-        """Writes the outputs for rows of inputs; a row's outputs do not depend on other rows.
-
-        Args:
-            inputs: ``(A, F)``; the first columns are the network's inputs.
-            out: ``(A, outputs)``.
-
-        Raises:
-            ValueError: the shapes do not fit.
-        """
-    def __reduce__(self) -> tuple[Any, ...]: ...
-
 class ActionReader:
     """Converts actions of one space to controls.
 

@@ -102,6 +102,6 @@ PyObject *to_polar(PyObject *module, PyObject *points);
 PyObject *trace_roads(PyObject *module, PyObject *args);
 PyObject *write_racing_view(PyObject *module, PyObject *args);
 
-extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, MlpType, ActionReaderType, StepScorerType;
+extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, ActionReaderType, StepScorerType;
 
 #endif

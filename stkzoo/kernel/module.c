@@ -90,7 +90,7 @@ PyMODINIT_FUNC PyInit__kernel(void)
 {
     static PyTypeObject *const TYPES[] = {
         &ActionReaderType,  &CarControllerType,  &EventCounterType, &GameStepperType,
-        &KartObserverType,  &MlpType, &StepScorerType,   &TrackGraphType,
+        &KartObserverType,  &StepScorerType,   &TrackGraphType,
     };
     import_array();
     PyObject *kernel = PyModule_Create(&module);

@@ -19,7 +19,6 @@ from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.drivers.messages import encode_observation
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.wrappers.racing import racing_features, road_observer
-from tests.kernel.test_mlp import inputs_of, layers_of
 from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
 from tests.support.kernel_users import USERS, replaced_kernel
 from tests.support.views import marked
@@ -72,8 +71,6 @@ def cases():
     with pytest.MonkeyPatch.context() as patch, replaced_kernel(patch, recorders):
         drive_races()
         encode_observation({"rows": (np.arange(3.0), np.arange(3.0))})
-    layers, rows = layers_of(0, (5, 3, 2)), (inputs_of(0, 4, 6), np.empty((4, 2), np.float32))
-    kept["Mlp"] = [((layers, is_tanh), {}, "evaluate", rows) for is_tanh in (True, False)]
     points = np.ones((2, 3), np.float32)
     kept["to_polar"] = [((points,), {}, None, ())]
     kept["new_batch"] = [((batch_of(), 3), {}, None, ())]

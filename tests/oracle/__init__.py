@@ -8,7 +8,6 @@ from tests.oracle.action_reader import ActionReader
 from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver
-from tests.oracle.mlp import Mlp
 from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import look_around, observe_racing, write_racing_view
 from tests.oracle.road_tracer import trace_roads
@@ -21,7 +20,6 @@ __all__ = [
     "CarController",
     "EventCounter",
     "KartObserver",
-    "Mlp",
     "StepScorer",
     "TrackGraph",
     "join_rows",

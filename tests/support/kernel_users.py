@@ -21,8 +21,6 @@ USERS = {
     "wrappers.observations": ["to_polar"],
     "wrappers.racing.surroundings": ["join_rows", "trace_roads"],
     "wrappers.racing.wrapper": ["look_around", "observe_racing", "write_racing_view"],
-    "agents.pretrained.mlp": ["Mlp"],
-    "agents.pretrained.policy": ["Mlp"],
 }
 
 

@@ -5,7 +5,7 @@ r"""Trains a policy by self-play with Ray RLlib, on one machine or a cluster.
         --address auto --env-runners 30
 
 The script uses PPO on RLlib's new API stack. Its env runners drive all their races in one batch
-(``RaceVectorEnv``) and evaluate the networks in stkzoo's kernel. In every race, the policy that
+(``RaceVectorEnv``) and evaluate the networks in C. In every race, the policy that
 learns (``main``) drives some karts, frozen snapshots of it drive others, and the game's AI drives
 the rest. Every few iterations, a snapshot of ``main`` replaces the oldest one. All policies see the
 view ``racing``.

@@ -3,6 +3,7 @@
 ``make sanitize`` runs these tests with an extension that stops the program at such an access.
 """
 
+import numpy as np
 import pytest
 
 from stkzoo.agents.planning import _planning
@@ -13,6 +14,11 @@ from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
 
 CASES = {
     "age_memory": [age_arguments(0, count=2)],
+    "compute_layer": [
+        (*(np.ones(shape, np.float32) for shape in ((5, 16), 16)), activation, rows, outputs)
+        for activation in range(3)
+        for rows, outputs in [(np.ones((5, 6), np.float32), np.ones((5, 16), np.float32))]
+    ],
     "plan_karts": [
         scene_arguments(0, count=2, motion=motion, has_line=has_line, is_watching=has_line)
         for motion, has_line in (((), True), (learned_motion(), False))

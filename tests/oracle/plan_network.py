@@ -1,4 +1,4 @@
-"""The NumPy implementation of ``mlp.c``: the networks of drivers."""
+"""The NumPy implementation of ``agents/planning/network.c``: the networks of drivers."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ class Mlp:
     def __init__(self, layers: tuple[tuple[FloatArray, FloatArray], ...], is_tanh: bool) -> None:
         self._layers, self._is_tanh = layers, is_tanh
 
-    def evaluate(self, inputs: FloatArray, out: FloatArray) -> None:
+    def __call__(self, inputs: FloatArray) -> FloatArray:
         x = inputs[:, None, : len(self._layers[0][0])]  # one matrix product per row
         *hidden, (matrix, bias) = self._layers
         for weights, offset in hidden:
             x = x @ weights + offset
             x = np.tanh(x) if self._is_tanh else np.maximum(x, 0)
-        out[:] = (x @ matrix + bias)[:, 0]
+        outputs: FloatArray = (x @ matrix + bias)[:, 0]
+        return outputs
