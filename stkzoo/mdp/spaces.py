@@ -108,7 +108,7 @@ def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -
     )
     if "ground" in extras:
         cells = len(GROUND_MARKS), len(GROUND_LANES)
-        space["ground_kind"] = spaces.Box(0, max(GroundKind), cells, np.uint8)
+        space["ground_kind"] = spaces.Box(0, int(max(GroundKind)), cells, np.uint8)
         space["ground_speed"] = spaces.Box(0.0, 1.0, cells, np.float32)
         marks = len(GROUND_LINE_MARKS)
         space["ground_line"] = spaces.Box(-inf, inf, (marks, 3), np.float32)

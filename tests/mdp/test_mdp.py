@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from stkzoo import race_v0
 from stkzoo.config import AgentSpec
@@ -10,6 +11,7 @@ from stkzoo.engine.track import TrackMap, decode_track, encode_track
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.mdp.rewards import REWARDS, Reward, as_reward, rank
+from stkzoo.mdp.spaces import EXTRAS, kart_observation_space
 from stkzoo.mdp.state import KART_FEATURES, state_space
 from stkzoo.mdp.transition import Transition
 from tests.support.generic_env import moment_of, observe_full
@@ -223,6 +225,20 @@ def test_episode_sums_add_up_over_a_whole_race():
         for agent in env.possible_agents:
             assert last[agent]["episode/return"] == pytest.approx(returns[agent])
             assert last[agent]["finish_time"] > 10
+
+
+def test_bounds_of_spaces_are_plain_numbers(monkeypatch):
+    bounds = []
+
+    def record(low, high, *arguments, **options):
+        bounds.extend((low, high))
+        return box(low, high, *arguments, **options)
+
+    box = spaces.Box
+    monkeypatch.setattr(spaces, "Box", record)
+    kart_observation_space(use_ai=True, extras=EXTRAS)
+    # Gymnasium before 1.2.4 refuses members of enumerations.
+    assert {type(bound) for bound in bounds} <= {int, float}
 
 
 def test_the_state_fits_its_space_and_starts_with_the_agents():
