@@ -6,6 +6,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+# What pip installs before the other libraries.
+TORCH ?= torch==2.13.0
 # Runs on all cores; an idle core takes over tests from a busy one.
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal --durations=25
 # The tests start hundreds of programs, which start faster with cached bytecode.
@@ -21,12 +23,13 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser compiler data engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures wheel clean
+.PHONY: browser compiler data engine graphics sandbox help race test test-fast test-lowest test-all sanitize check bench docs pictures wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
 	@echo "make test    set everything up and run the tests: one case of each kind, 12 minutes"
 	@echo "make test-fast  the quick tests: every package, two minutes"
+	@echo "make test-lowest  the quick tests with the oldest libraries that pyproject.toml allows"
 	@echo "make test-all  the tests with all cases of each kind"
 	@echo "make sanitize  the kernel's tests under AddressSanitizer and UBSan (gcc, Linux)"
 	@echo "make check   lint, format, types and spelling"
@@ -48,6 +51,15 @@ test: data $(VENV)/.dev graphics browser sandbox
 # Tests every package with the real engine, in two minutes on two cores.
 test-fast: data $(VENV)/.dev
 	$(PYTEST) -m "not slow and not matrix" $(ARGS)
+
+# Old libraries warn about newer versions of libraries that they use.
+test-lowest:
+	$(PYTHON) -m venv build/uv
+	build/uv/bin/python -m pip install --quiet uv
+	build/uv/bin/uv pip compile --quiet --resolution lowest-direct --python $$(command -v $(PYTHON)) \
+		--extra dev --extra sb3 --output-file build/lowest.txt pyproject.toml
+	PIP_CONSTRAINT=$(CURDIR)/build/lowest.txt $(MAKE) VENV=build/lowest TORCH=torch \
+		ARGS="-W ignore::DeprecationWarning" test-fast
 
 # Every night: all cases.
 test-all: data $(VENV)/.dev graphics browser sandbox
@@ -217,7 +229,7 @@ $(VENV)/.core: $(VENV)/.made pyproject.toml $(C_SOURCES) | compiler
 
 # Installed first and separately, so that pip's settings determine its build.
 $(VENV)/.torch: $(VENV)/.core
-	$(PIP) install --quiet torch==2.13.0
+	$(PIP) install --quiet $(TORCH)
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.core $(VENV)/.torch pyproject.toml
