@@ -48,7 +48,6 @@ _item_of, _kart_of = (
     attrgetter(*(_ATTRIBUTES.get(name, name) for name in names))
     for names in (ITEM_DTYPE.names or (), (KART_DTYPE.names or ())[:-1])
 )
-_is_initialized = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +75,14 @@ class RaceStart:
 
 
 def engine_is_initialized() -> bool:
-    """Returns whether :func:`init_engine` has started the engine in this process."""
-    return _is_initialized
+    """Returns whether the engine is started in this process, by stkzoo or by the program."""
+    import pystk2
+
+    return bool(pystk2.list_karts())
 
 
 def init_engine(graphics: str = '{"preset": "none"}') -> None:
-    """Starts the engine in this process. Later calls do nothing.
+    """Starts the engine in this process. A second call would crash it.
 
     Args:
         graphics: fields of ``pystk2.GraphicsConfig`` as a JSON object. Its key ``preset`` names
@@ -90,14 +91,10 @@ def init_engine(graphics: str = '{"preset": "none"}') -> None:
     Raises:
         EngineError: the installed ``pystk2`` numbers powerups, attachments or items differently.
     """
-    global _is_initialized
-    if _is_initialized:
-        return
     import pystk2
 
     _check_numbers(pystk2)
     pystk2.init(_graphics_config(pystk2, graphics))
-    _is_initialized = True
 
 
 def _graphics_config(pystk2: Any, graphics: str) -> Any:

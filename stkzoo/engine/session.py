@@ -304,6 +304,7 @@ class LocalSession(Session):
                 "at a time, and another environment's race is running; close that "
                 "environment first, or leave use_subprocess at True"
             )
+        _check_program()
         with explain_os_errors(), _quiet_output():
             _init_here(self._root)
             self._race = GameRace(setup)
@@ -362,13 +363,41 @@ def _flush_c_streams() -> None:
     ctypes.CDLL(None).fflush(None)
 
 
+#: Whether :func:`_init_here` has started the engine in this process.
+_has_started = False
+
+
+def _check_program() -> None:
+    """Checks that this program does not use the engine itself, which would crash it.
+
+    Raises:
+        ApiOrderError: the program has started or stopped the engine, or has a race.
+    """
+    import pystk2
+
+    if engine_is_initialized() != _has_started:
+        call = "clean" if _has_started else "init"
+        raise ApiOrderError(
+            "use_subprocess=False cannot start the game in this process, because the program has "
+            f"called pystk2.{call}(); leave use_subprocess at True, or remove that call"
+        )
+    if pystk2.is_running():
+        raise ApiOrderError(
+            "use_subprocess=False runs the game in this process, which can hold one race at a "
+            "time, and the program has a pystk2.Race; delete it, or leave use_subprocess at True"
+        )
+
+
 def _init_here(root: Path) -> None:
     """Starts the engine in this process, with the environment variables of engine processes.
 
     Later calls do nothing: the engine keeps its home folder until the program ends.
     """
-    if engine_is_initialized():
+    global _has_started
+    if _has_started:
         return
+    import pystk2
+
     home = TemporaryFolder("home")
     environment = dict(os.environ)
     os.environ.update(engine_environment(root, str(home.path)))
@@ -377,3 +406,17 @@ def _init_here(root: Path) -> None:
     finally:
         os.environ.clear()
         os.environ.update(environment)
+    _has_started = True
+    pystk2.init = _refuse_init
+
+
+def _refuse_init(*_: object) -> None:
+    """Replaces ``pystk2.init``, whose second call crashes a program.
+
+    Raises:
+        ApiOrderError: always.
+    """
+    raise ApiOrderError(
+        "pystk2.init() crashes a program that calls it twice, and stkzoo has called it for "
+        "use_subprocess=False; remove this call, or leave use_subprocess at True"
+    )
