@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable, Iterator
 from importlib import metadata
 from pathlib import Path
 from shutil import which
@@ -29,14 +30,38 @@ def repository_url() -> str:
     return next((url.partition(", ")[2] for url in urls if url.startswith("Repository, ")), "")
 
 
-def extra_requirements() -> dict[str, list[str]]:
-    """Returns the requirements of each extra, such as ``{"web": ["aiohttp>=3.11"]}``."""
+def requirements() -> dict[str, list[str]]:
+    """Returns the requirements of each extra, such as ``{"web": ["aiohttp>=3.11"]}``.
+
+    Those of stkzoo itself have the key ``""``.
+    """
     package = _installed()
-    extras: dict[str, list[str]] = {}
+    by_extra: dict[str, list[str]] = {"": []}
     for requirement in (package and package.requires) or ():
-        if extra := _EXTRA.search(requirement):
-            extras.setdefault(extra[1], []).append(requirement.partition(";")[0].strip())
-    return extras
+        extra = _EXTRA.search(requirement)
+        text = requirement.partition(";")[0].strip()
+        by_extra.setdefault(extra[1] if extra else "", []).append(text)
+    return by_extra
+
+
+def unmet_requirements(texts: Iterable[str]) -> Iterator[str]:
+    """Yields what is wrong with the installed libraries, such as ``"no ray"``.
+
+    Args:
+        texts: requirements, such as ``"aiohttp>=3.11"``.
+    """
+    for text in texts:
+        name, least = re.split(r"[^\w.-]", text)[0], text.partition(">=")[2]
+        versions = [package.version for package in metadata.distributions(name=name)]
+        if not versions:
+            yield f"no {name}"
+        elif _numbers(versions[0]) < _numbers(least):
+            yield f"{name} {versions[0]} is older than {least}"
+
+
+def _numbers(version: str) -> list[int]:
+    """Returns the first numbers of a version, such as ``[2, 13, 0]`` for ``"2.13.0+cpu"``."""
+    return [int(number) for number in re.findall(r"\d+", version)[:3]]
 
 
 def install_command(extra: str) -> str:
@@ -60,6 +85,18 @@ def pip_install(arguments: str) -> str:
     if pip and Path(pip).parent == here:
         return f"pip install {arguments}"
     return f'"{sys.executable}" -m pip install {arguments}'
+
+
+def unusable(problem: str) -> BaseException:
+    """Returns the error for a problem that prevents the import of stkzoo.
+
+    It ends the command ``stkzoo`` without a traceback.
+
+    Args:
+        problem: what is wrong, and the remedy.
+    """
+    is_command = Path(getattr(sys, "argv", [""])[0]).name == "stkzoo"
+    return SystemExit(f"stkzoo: {problem}") if is_command else ImportError(problem)
 
 
 def library_remedy(output: str) -> str:
@@ -91,7 +128,7 @@ def _installed() -> metadata.Distribution | None:
 def _libraries(extra: str) -> list[str]:
     """Returns the requirements of an extra, including those of the extras that it names."""
     libraries: dict[str, None] = {}
-    for requirement in extra_requirements().get(extra, ()):
+    for requirement in requirements().get(extra, ()):
         inner = re.fullmatch(r"stkzoo\[([\w,-]+)\]", requirement)
         names = [n for e in inner[1].split(",") for n in _libraries(e)] if inner else [requirement]
         libraries.update(dict.fromkeys(names))

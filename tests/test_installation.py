@@ -9,10 +9,10 @@ import pytest
 from stkzoo import ConfigError, _installation
 from stkzoo._imports import import_extra
 from stkzoo._installation import (
-    extra_requirements,
     install_command,
     library_remedy,
     repository_url,
+    requirements,
 )
 
 
@@ -54,7 +54,7 @@ def test_stale_metadata_in_a_checkout_does_not_hide_the_install(monkeypatch, tmp
     monkeypatch.syspath_prepend(stale.parent)
     assert metadata.version("stkzoo") == "8"
     assert repository_url() == "https://example.org/stkzoo"
-    assert extra_requirements()["web"] == ["aiohttp>=3"]
+    assert requirements()["web"] == ["aiohttp>=3"]
 
 
 @pytest.mark.usefixtures("install")

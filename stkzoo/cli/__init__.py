@@ -167,6 +167,9 @@ def _run(words: list[str]) -> int:
     except StkzooError as error:
         print(f"stkzoo: {plain_text(str(error))}", file=sys.stderr)  # it may name strange files
         return 1
+    except MemoryError:
+        print("stkzoo: there is too little memory; `ulimit -d -v` shows limits", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("stkzoo: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -10,8 +10,9 @@ Examples:
 
 from __future__ import annotations
 
+import math
 import os
-import re
+import resource
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -22,16 +23,17 @@ from typing import Any
 
 from stkzoo._imports import python_command
 from stkzoo._installation import (
-    extra_requirements,
     install_command,
     library_remedy,
     pip_install,
+    requirements,
+    unmet_requirements,
 )
-from stkzoo._os import DISPLAY_VARIABLES, has_display
+from stkzoo._os import DISPLAY_VARIABLES, display_problem
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.cli._console import JsonArguments, say, show, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem
-from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
+from stkzoo.engine.assets import CACHE_VARIABLE, DATADIR_VARIABLE, cache_folder, find_assets
 from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.process import engine_environment
 from stkzoo.engine.render_session import GRAPHICS_PACKAGES, missing_graphics_libraries
@@ -48,6 +50,16 @@ import pystk2
 pystk2.init(pystk2.GraphicsConfig.none())
 print("tracks:", *pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE))
 """
+
+#: Limits of processes: their names, units, sizes of the units, and what is enough.
+_LIMITS = (
+    ("NOFILE", "open files", 1, 1024),
+    ("NPROC", "processes", 1, 512),
+    ("CPU", "s of CPU time", 1, math.inf),
+    ("FSIZE", "MB in a file", 1 << 20, 64),
+    ("DATA", "MB of data", 1 << 20, 4096),
+    ("AS", "MB of memory", 1 << 20, 4096),
+)
 
 #: Time limit for the engine's start [s], which normally takes 0.5 s.
 _PROBE_LIMIT = 60.0
@@ -96,7 +108,7 @@ class NotFound(Exception):
 
 
 #: Names of the checks without whose features headless races cannot run.
-_REQUIRED = ("Python", "engine", "race data", "engine starts")
+_REQUIRED = ("Python", "libraries", "engine", "race data", "engine starts")
 
 
 def _diagnose() -> Iterator[dict[str, Any]]:
@@ -110,22 +122,26 @@ def _diagnose() -> Iterator[dict[str, Any]]:
     # The variable overrides installed data, so users must unset it first.
     prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
     install = f"{prefix}stkzoo assets install"
+    (_, own), *extras = requirements().items()
     checks: list[tuple[str, Callable[[], str], str]] = [
         ("Python", _python, "install Python 3.10 or newer"),
+        ("libraries", partial(_libraries, own), install_command("")),
         ("engine", _engine, pip_install("PySuperTuxKart2")),
         ("race data", _race_data, install),
         ("engine starts", _start, f"{install} --force"),
         ("headless pack", _pack, f"{prefix}stkzoo assets pack"),
         ("full data", _full_data, install),
+        ("cache", _cache, f"set {CACHE_VARIABLE} to a folder of your own"),
+        ("limits", _limits, "raise them (ulimit), or race fewer karts at once"),
         ("fork", _fork, "use Linux"),
         ("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
         ("3D graphics", _graphics, f"sudo apt install {GRAPHICS_PACKAGES}"),
         ("display", _display, "run in a graphical session, or under xvfb-run"),
         ("ffmpeg", _ffmpeg, install_command("record")),
     ]
-    for extra, requirements in extra_requirements().items():
+    for extra, texts in extras:
         if extra not in ("all", "dev", "docs"):
-            check = partial(_extra, [re.split(r"[^\w.-]", text)[0] for text in requirements])
+            check = partial(_libraries, texts)
             checks.append((f"extra [{extra}]", check, install_command(extra)))
     for name, find, remedy in checks:
         finding = {"name": name, "ok": True, "remedy": "", "required": name in _REQUIRED}
@@ -135,6 +151,8 @@ def _diagnose() -> Iterator[dict[str, Any]]:
             finding |= {"ok": False, "found": str(error).splitlines()[0], "remedy": install}
         except NotFound as error:
             finding |= {"ok": False, "found": str(error), "remedy": error.remedy or remedy}
+        except Exception as error:  # noqa: BLE001 - one failure must not hide the other findings
+            finding |= {"ok": False, "found": f"{type(error).__name__}: {error}", "remedy": remedy}
         yield finding
 
 
@@ -143,8 +161,6 @@ def _python() -> str:
 
 
 def _engine() -> str:
-    if not _has_distribution("PySuperTuxKart2"):
-        raise NotFound("PySuperTuxKart2 is not installed")
     _probe("import pystk2", os.environ)
     return f"PySuperTuxKart2 {metadata.version('PySuperTuxKart2')}"
 
@@ -204,6 +220,25 @@ def _full_data() -> str:
     return f"{assets.root} ({assets.source})"
 
 
+def _cache() -> str:
+    folder = cache_folder()
+    place = next(place for place in (folder, *folder.parents) if place.exists())
+    if not (place.is_dir() and os.access(place, os.W_OK)):
+        raise NotFound(f"{folder} cannot be written, so no data can be installed")
+    return str(folder)
+
+
+def _limits() -> str:
+    low = []
+    for name, unit, size, enough in _LIMITS:
+        value, _ = resource.getrlimit(getattr(resource, f"RLIMIT_{name}"))
+        if value != resource.RLIM_INFINITY and value < size * enough:
+            low.append(f"{value / size:,.0f} {unit}")
+    if low:
+        raise NotFound(f"each process can have only {', '.join(low)}")
+    return "high enough"
+
+
 def _fork() -> str:
     if not can_fork():
         raise NotFound("each race starts a new game process")
@@ -227,8 +262,8 @@ def _graphics() -> str:
 
 
 def _display() -> str:
-    if not has_display():
-        raise NotFound("none: no live window, pictures and videos only")
+    if problem := display_problem():
+        raise NotFound(f"no live window, pictures and videos only: {problem}")
     named = (f"{name}={os.environ[name]}" for name in DISPLAY_VARIABLES if name in os.environ)
     return " ".join(named) or "the system's own"
 
@@ -240,12 +275,7 @@ def _ffmpeg() -> str:
         raise NotFound("none: no videos") from None
 
 
-def _extra(names: list[str]) -> str:
-    missing = [name for name in names if not _has_distribution(name)]
-    if missing:
-        raise NotFound(f"no {', no '.join(missing)}")
-    return ", ".join(names)
-
-
-def _has_distribution(name: str) -> bool:
-    return any(metadata.distributions(name=name))
+def _libraries(texts: list[str]) -> str:
+    if unmet := list(unmet_requirements(texts)):
+        raise NotFound(", ".join(unmet))
+    return ", ".join(texts)

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stkzoo._arguments import CommandParser
-from stkzoo._os import has_display
+from stkzoo._os import display_problem
 from stkzoo.cli import race, race_client, race_server
 from stkzoo.cli._race_options import EnvOptions, LivePageArguments, VideoArguments
 from stkzoo.errors import AgentError
@@ -79,9 +79,10 @@ def _outputs(arguments: race.RacesArguments) -> dict[str, Any]:
     notes = viewing.unused(DEFAULTS)
     viewing.video = viewing.video if viewing.video.video else VideoArguments()
     viewing.page = viewing.page if viewing.page.web else LivePageArguments()
-    viewing.window = viewing.window or (not viewing.hide and has_display())
-    if not (viewing.hide or viewing.window):
-        notes.append("no window opens, because there is no display")
+    problem = "" if viewing.hide or viewing.window else display_problem()
+    viewing.window = viewing.window or not (viewing.hide or problem)
+    if problem:
+        notes.append(f"no window opens, because {problem}")
     if notes:
         print(f"stkzoo pystk2: {'; '.join(notes)}", file=sys.stderr)
     # Replays are checked with stkzoo's own reward.

@@ -26,6 +26,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from stkzoo._os import lower_limit
+
 #: Maximum number of threads of all processes of an agent together.
 _MAX_THREADS = 512
 #: Limits of each process in a sandbox: number of open files, and size of a file [bytes].
@@ -58,7 +60,7 @@ class Confinement:
         limits = {resource.RLIMIT_NPROC: _MAX_THREADS} if self.has_own_users else {}
         limits |= {resource.RLIMIT_NOFILE: _MAX_OPEN_FILES, resource.RLIMIT_FSIZE: _MAX_FILE_SIZE}
         for limit, most in {**limits, resource.RLIMIT_MSGQUEUE: 0}.items():
-            resource.setrlimit(limit, (most, most))
+            lower_limit(limit, most)
         if self.readable:
             _restrict_files(self.readable, self.writable, self.listable)
         _restrict_calls(has_own_network=self.has_own_users)

@@ -31,6 +31,7 @@ import msgspec
 import numpy as np
 
 from stkzoo._imports import python_command, search_path
+from stkzoo._os import lower_limit
 from stkzoo.drivers import keeper, messages
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.failures import OutputTail
@@ -378,8 +379,7 @@ def _limit(memory: int, cpu_time: float | None) -> None:
         cpu_time: limit of each process's CPU time [s]; ``None`` for no limit.
     """
     if memory:
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+        lower_limit(resource.RLIMIT_DATA, memory)
     if cpu_time is not None:
-        most = math.ceil(cpu_time)
-        resource.setrlimit(resource.RLIMIT_CPU, (most, most))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        lower_limit(resource.RLIMIT_CPU, math.ceil(cpu_time))
+    lower_limit(resource.RLIMIT_CORE, 0)

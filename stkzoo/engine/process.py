@@ -12,6 +12,7 @@ import ctypes
 import errno
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -174,7 +175,7 @@ def explain_os_errors() -> Iterator[None]:
             "system's limits (ulimit -a shows them, df the room on its disks)"
         )
         if error.errno in _NO_FOLDER and error.filename != sys.executable:
-            remedy = "set TMPDIR to a folder that exists and is writable"
+            remedy = "set TMPDIR to a folder that exists, is writable and has room (see ulimit -f)"
         raise EngineError(f"no process of the game can be started: {error}; {remedy}") from error
 
 
@@ -320,6 +321,10 @@ def describe_end(returncode: int) -> str:
     if returncode >= 0:
         return f"exited with code {returncode}"
     try:
-        return f"was ended by {signal.Signals(-returncode).name}"
+        how = f"was ended by {signal.Signals(-returncode).name}"
     except ValueError:
-        return f"was ended by signal {-returncode}"
+        how = f"was ended by signal {-returncode}"
+    seconds, _ = resource.getrlimit(resource.RLIMIT_CPU)
+    if -returncode in (signal.SIGKILL, signal.SIGXCPU) and seconds != resource.RLIM_INFINITY:
+        how += f" (`ulimit -t` allows each process {seconds} s of CPU time)"
+    return how

@@ -210,5 +210,5 @@ def _window_variables() -> dict[str, str]:
     named = ",".join(system for name, system in systems.items() if os.environ.get(name))
     variables = {"SDL_VIDEODRIVER": os.environ.get("SDL_VIDEODRIVER") or named}
     # The X server's key is in the user's home, but the game has its own home.
-    key = os.environ.get("XAUTHORITY") or str(Path.home() / ".Xauthority")
+    key = os.environ.get("XAUTHORITY") or os.path.expanduser("~/.Xauthority")
     return {**variables, "XAUTHORITY": key} if Path(key).is_file() else variables

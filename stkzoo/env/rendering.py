@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._checks import unknown_name
-from stkzoo._os import check_display, has_display
+from stkzoo._os import check_display, display_problem
 from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.env.episode import Episode
 from stkzoo.errors import ApiOrderError, ConfigError
@@ -117,7 +117,7 @@ class Rendering:
 
 def available_modes() -> list[str]:
     """Returns the render modes that work on this machine; ``"human"`` needs a display."""
-    return [mode for mode in RENDER_MODES if mode != "human" or has_display()]
+    return [mode for mode in RENDER_MODES if mode != "human" or not display_problem()]
 
 
 def scene_of(episode: Episode) -> Scene:

@@ -9,18 +9,21 @@ from __future__ import annotations
 from pathlib import Path
 
 
-def not_built(reason: object) -> ImportError:
+def not_built(reason: object) -> BaseException:
     """Returns the error for an extension that is missing or out of date.
 
     Args:
         reason: what is wrong with it.
     """
-    from stkzoo._installation import pip_install  # slow, and engine processes do not need it
+    from stkzoo._installation import (
+        pip_install,
+        unusable,
+    )  # slow, and engine processes do not need it
 
     root = Path(__file__).parents[2]
     is_checkout = (root / "setup.py").exists()
     remedy = pip_install(f'-e "{root}"') if is_checkout else "install stkzoo again"
-    return ImportError(f"stkzoo's C extension is not built for this code ({reason}): {remedy}")
+    return unusable(f"stkzoo's C extension is not built for this code ({reason}): {remedy}")
 
 
 try:

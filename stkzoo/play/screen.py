@@ -118,7 +118,8 @@ def _load_pygame() -> Any:
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     pygame = import_extra("pygame", "the window needs", "play")
-    check_display(_NEED)
+    if not os.environ.get("SDL_VIDEODRIVER"):  # tests choose one that opens no window
+        check_display(_NEED)
     return pygame
 
 

@@ -1,4 +1,6 @@
 import json
+import os
+import resource
 import shutil
 import sys
 from importlib.util import find_spec
@@ -8,6 +10,8 @@ import pytest
 
 from stkzoo._os import DISPLAY_VARIABLES
 from stkzoo.cli import main
+from stkzoo.engine.assets import cache_folder
+from tests.support.processes import run_program
 
 
 @pytest.fixture
@@ -65,6 +69,107 @@ def test_a_library_that_the_system_lacks_is_named_with_its_remedy(capsys):
     assert code == 1
     remedy = "install your system's package with libglib-9.0.so.0"
     assert checks["engine"]["remedy"] == checks["engine starts"]["remedy"] == remedy
+
+
+@pytest.fixture
+def odd_machine(tmp_path, monkeypatch):
+    """Sets up an odd machine: SDL's dummy driver, an old Gymnasium, low limits, no extra."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    information = tmp_path / "gymnasium-1.1.1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: gymnasium\nVersion: 1.1.1\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    needed = {"": ["gymnasium>=1.2", "numpy>=2.0"], "web": ["nothing-like-it>=3"]}
+    monkeypatch.setattr("stkzoo.cli.doctor.requirements", lambda: needed)
+    lowered = {"RLIMIT_NOFILE": 512, "RLIMIT_FSIZE": 8 << 20, "RLIMIT_CPU": 100_000}
+    before = {
+        getattr(resource, name): resource.getrlimit(getattr(resource, name)) for name in lowered
+    }
+    for limit, most in zip(before, lowered.values(), strict=True):
+        resource.setrlimit(limit, (most, before[limit][1]))
+    yield
+    for limit, values in before.items():
+        resource.setrlimit(limit, values)
+
+
+@pytest.mark.usefixtures("odd_machine")
+def test_what_is_odd_about_a_machine_is_named(capsys):
+    code, answer, checks = report(capsys)
+    assert (code, answer["ready"]) == (1, False)
+    assert checks["libraries"]["found"] == "gymnasium 1.1.1 is older than 1.2"
+    assert checks["extra [web]"]["found"] == "no nothing-like-it"
+    assert "SDL_VIDEODRIVER=dummy opens no window; unset it" in checks["display"]["found"]
+    low = "each process can have only 512 open files, 100,000 s of CPU time, 8 MB in a file"
+    assert checks["limits"]["found"] == low
+
+
+@pytest.fixture
+def no_home(monkeypatch):
+    """Sets up a user without a home folder, as in some containers."""
+    for name in ("HOME", "XDG_CACHE_HOME", "STKZOO_CACHE", "SUPERTUXKART_DATADIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems find the folder elsewhere")
+@pytest.mark.usefixtures("no_home")
+def test_a_user_without_a_home_is_told_what_to_set(capsys):
+    code, _, checks = report(capsys)
+    assert code == 1
+    expected = "the home folder of this user is unknown; set HOME or STKZOO_CACHE."
+    assert checks["race data"]["found"] == checks["cache"]["found"] == expected
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "file" / "cache"))
+    _, _, checks = report(capsys)
+    assert "file/cache cannot be written, so no data can be" in checks["cache"]["found"]
+    assert checks["cache"]["remedy"] == "set STKZOO_CACHE to a folder of your own"
+
+
+def test_a_check_that_fails_itself_is_a_finding(monkeypatch, capsys):
+    monkeypatch.setattr("stkzoo.cli.doctor.can_fork", lambda: 1 / 0)
+    code, _, checks = report(capsys)
+    assert code == 0
+    assert checks["fork"]["found"] == "ZeroDivisionError: division by zero"
+
+
+def test_it_works_beside_an_initialized_engine_with_an_accented_path_in_a_c_locale(tmp_path):
+    cache = tmp_path / "cach\u00e9"
+    cache.symlink_to(cache_folder())
+    code = """
+        import pystk2, sys
+        from stkzoo.cli import main
+        pystk2.init(pystk2.GraphicsConfig.none())
+        sys.exit(main(["doctor"]))
+    """
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    places = {"STKZOO_CACHE": str(cache), "SUPERTUXKART_DATADIR": str(cache / "headless")}
+    done = run_program(code, env={**os.environ, **plain, **places})
+    assert done.returncode == 0, done.stderr
+    assert "A headless race can run here." in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "beginning"), [("/usr/bin/stkzoo", "stkzoo: "), ("mine.py", "ImportError: ")]
+)
+def test_a_gymnasium_that_is_much_too_old_is_one_error(name, beginning):
+    code = f"""
+        import sys, gymnasium
+        sys.argv[0] = {name!r}
+        gymnasium.__version__ = "0.29.1"
+        del gymnasium.vector.AutoresetMode
+        import stkzoo.cli
+    """
+    done = run_program(code)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 1
+    assert last.startswith(f"{beginning}Gymnasium 0.29.1 is too old for stkzoo: ")
+    assert last.endswith("pip install --upgrade gymnasium")
+    assert ("Traceback" in done.stderr) == (name == "mine.py")
 
 
 def test_table_ends_with_the_verdict(capsys):

@@ -88,7 +88,7 @@ def test_differences_are_reported_in_one_line(monkeypatch, capsys):
         "--cameras does nothing without --video",
         "--width does nothing",
         "--web-port does nothing without --web",
-        "no window opens, because there is no display",
+        "no window opens, because no display is named by DISPLAY or WAYLAND_DISPLAY",
     ):
         assert text in said
 
