@@ -81,10 +81,6 @@ class SpaceFlattener(LeftOutNames):
             for name, parts in self.parts.items()
         }
 
-    def continuous(self, value: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-        """Returns the continuous vector of a value, ``(n,)`` float32."""
-        return self.flatten_parts(value)["continuous"]
-
     def discrete(self, value: Mapping[str, Any]) -> npt.NDArray[np.int64]:
         """Returns the discrete vector of a value, ``(m,)`` int64."""
         return self.flatten_parts(value)["discrete"]

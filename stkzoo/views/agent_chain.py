@@ -18,11 +18,7 @@ from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
 
-_FITTED = (
-    "clipped to its space, and unknown keys are ignored, as in pystk2-gymnasium; this is reported "
-    "once in a race"
-)
-
+_FITTED = "It is clipped, and unknown keys are ignored; this is logged once in a race."
 logger = logging.getLogger(__name__)
 
 #: Wraps one agent's environment; ``None`` adds no wrapper.
@@ -268,7 +264,7 @@ class AgentChain:
             fitting = read_action(space, fit_action(space, action), self.agent, name)
             self.num_clipped += 1
             if self.num_clipped == 1 and self._logs_clipping:
-                logger.warning("%s It is %s", error, _FITTED)
+                logger.warning("%s %s", error, _FITTED)
             return fitting
 
     def finish_step(self, result: AgentStep) -> AgentStep:

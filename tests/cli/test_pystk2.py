@@ -1,6 +1,7 @@
 """The command ``stkzoo pystk2``, compared with the reference's ``pystk2``."""
 
 import json
+import re
 
 import pytest
 
@@ -47,6 +48,16 @@ def test_options_and_defaults_match_the_reference(programs):
         for option, default in options.items():
             if option not in OWN_DEFAULTS:
                 assert (ours[name].get_default(known[option].dest) or None) == (default or None)
+
+
+@pytest.mark.parametrize("command", ["race", "race-client"])
+def test_documented_options_of_the_reference_are_second_names_of_stkzoos(command):
+    parser = choices_of(build_parser(command))[command]
+    options, text = options_of(parser), parser.format_help()
+    aliases = {"video": "record", "width": "screen-width", "height": "screen-height"}
+    for name, alias in aliases.items():
+        assert options[f"--{name}"] is options[f"--{alias}"]
+        assert re.search(rf"--{name} [A-Z]+, --{alias} [A-Z]+", text)
 
 
 @pytest.mark.slow

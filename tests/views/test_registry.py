@@ -90,7 +90,7 @@ def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option)
         (("simple", 3), "the options of the simple view are 3, expected a mapping"),
         (("simple", {"state_items": 0}), "state_items is 0, expected a whole number of 1 or more"),
         (("control", {"buttons": "fire"}), "buttons is 'fire', expected some of drift, fire"),
-        (("control", {"control_input": "sped"}), "control_input has 'sped', expected one of"),
+        (("control", {"control_input": "sped"}), "the action has the name 'sped', expected one of"),
         (7, "view is 7, expected one of full, ground, simple"),
     ],
 )

@@ -452,16 +452,16 @@ def _kinds(control_mode: object) -> tuple[type[LongitudinalAction], type[SteerAc
     """Returns the classes of both numbers."""
     names = [control_mode] if isinstance(control_mode, str) else control_mode
     if not isinstance(names, Sequence) or not 1 <= len(names) <= 2:
-        raise ConfigError(f"control_mode is {control_mode!r}, {_EXPECTED}")
+        raise ConfigError(f"the names of the action are {control_mode!r}, {_EXPECTED}")
     kinds: dict[Any, Any] = {LongitudinalAction: SpeedAction, SteerAction: SteeringAngleAction}
     named: dict[Any, Any] = {}
     for name in names:
         if not isinstance(name, str) or name not in _CLASSES:
-            raise ConfigError(f"control_mode has {name!r}, {_EXPECTED}")
+            raise ConfigError(f"the action has the name {name!r}, {_EXPECTED}")
         named[_CLASSES[name].__base__] = _CLASSES[name]
     if len(named) < len(names):
         raise ConfigError(
-            f"control_mode is {control_mode!r}, two names of the same kind; {_EXPECTED}"
+            f"the action has two names of the same kind, {control_mode!r}; {_EXPECTED}"
         )
     kinds |= named
     return kinds[LongitudinalAction], kinds[SteerAction]
