@@ -199,10 +199,17 @@ class GameRace:
         Raises:
             EngineError: the engine's block of memory, which it reads, differs from the attributes.
         """
-        engine = self._race, self._world, self._actions
+        race, world = self._race, self._world
         try:
+            functions = race.step, race.get_kart_action, world.update, world.__getstate__
             stepper = GameStepper(
-                *engine, CONTROLS, self._phases, Phase.RACE_PHASE, self._reporting
+                functions,
+                world,
+                self._actions,
+                CONTROLS,
+                self._phases,
+                Phase.RACE_PHASE,
+                self._reporting,
             )
             is_right = stepper.read(True) == self.read_attributes(True).data
         except (AttributeError, TypeError, ValueError):

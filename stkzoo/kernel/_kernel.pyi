@@ -1,5 +1,6 @@
 """The names of the C extension. A comment in C has the formula of each."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ class GameStepper:
     """Steps a race of the engine, and reads its state.
 
     Args:
-        race: a ``pystk2.Race`` that has started.
+        functions: ``step`` and ``get_kart_action`` of a ``pystk2.Race`` that has started, and
+            ``update`` and ``__getstate__`` of its world.
         world: its ``pystk2.WorldState``.
         actions: a ``pystk2.Action`` for each player kart, in grid order.
         controls: names of the controls, which are attributes of an action.
@@ -23,7 +25,7 @@ class GameStepper:
 
     def __new__(
         cls,
-        race: Any,
+        functions: tuple[Callable[..., Any], ...],
         world: Any,
         actions: list[Any],
         controls: tuple[str, ...],
@@ -163,15 +165,12 @@ class ActionReader:
             a whole number, its column in the controls, and a table or ``None``. A table belongs to
             a choice and has a row for each value; that row is added to the controls from the column
             on.
-        num_columns: number of columns of the controls.
 
     Raises:
         ValueError: the leaves do not fit together.
     """
 
-    def __new__(
-        cls, names: tuple[str, ...], leaves: tuple[Any, ...], num_columns: int
-    ) -> ActionReader: ...
+    def __new__(cls, names: tuple[str, ...], leaves: tuple[Any, ...]) -> ActionReader: ...
     def read(
         self,
         actions: Any,
@@ -187,7 +186,7 @@ class ActionReader:
                 of such arrays.
             who: the agents; with ``count``, their slots.
             rows: row of each action in ``controls``.
-            controls: ``(P, C)`` float32, whose rows are overwritten.
+            controls: ``(P, 7)`` float32, whose rows are overwritten.
             count: number of slots.
 
         Returns:
@@ -202,8 +201,6 @@ class CarController:
             and whether both are scaled to [-1, 1].
         limits: limits of the steering number, of the longitudinal number, and of the kart.
         pedals: model of the kart.
-        columns: columns of throttle, steering and brake.
-        num_columns: number of columns of the controls.
     """
 
     def __new__(
@@ -211,8 +208,6 @@ class CarController:
         kinds: tuple[bool, bool, bool],
         limits: tuple[float, ...],
         pedals: npt.NDArray[np.float64],
-        columns: tuple[int, int, int],
-        num_columns: int,
     ) -> CarController: ...
     def drive(
         self,
@@ -226,7 +221,7 @@ class CarController:
         """Replaces actions by the controls that the game takes.
 
         Args:
-            controls: ``(P, n)``; the columns of steering and throttle hold the action's steering
+            controls: ``(P, 7)``; the columns of steering and throttle hold the action's steering
                 and longitudinal numbers.
             rows: ``(A,)`` rows to change.
             data: bytes of the current snapshot.

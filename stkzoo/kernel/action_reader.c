@@ -26,7 +26,6 @@ typedef struct {
     OBJECT_HEAD
     PyObject *names; /* tuple of the leaves' keys; empty if the action is a single leaf */
     Leaf *leaves;
-    int num_columns;
 } ActionReader;
 
 /* stkzoo.views.actions.BOUND_TOLERANCE */
@@ -112,7 +111,7 @@ static int read_action(const ActionReader *self, PyObject *action, npy_intp slot
                        float *row)
 {
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
-    memset(row, 0, (size_t)self->num_columns * sizeof *row);
+    memset(row, 0, NUM_CONTROLS * sizeof *row);
     if (num_names == 0) return read_leaf(self->leaves, action, slot, count, row);
     if (!PyDict_Check(action) || PyDict_GET_SIZE(action) != num_names) return 0;
     for (Py_ssize_t i = 0; i < num_names; i++) {
@@ -147,7 +146,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
     if (size != rows.size) {
         return PyErr_Format(PyExc_ValueError, "%zd actions for %zd rows", size, rows.size);
     }
-    if (!are_below(slots, count) || !are_below(rows, controls.size / self->num_columns)) {
+    if (!are_below(slots, count) || !are_below(rows, controls.size / NUM_CONTROLS)) {
         return PyErr_Format(PyExc_IndexError, "a slot or row index is out of range");
     }
     if (!is_batch && !PyDict_Check(actions)) Py_RETURN_FALSE;
@@ -157,7 +156,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
             is_batch ? actions : PyDict_GetItemWithError(actions, PyTuple_GET_ITEM(who, i));
         if (!action && PyErr_Occurred()) return NULL;
         Py_XINCREF(action); /* see read_action */
-        float *row = controls.data + rows.data[i] * self->num_columns;
+        float *row = controls.data + rows.data[i] * NUM_CONTROLS;
         is_read = action ? read_action(self, action, is_batch ? slots.data[i] : 0, count, row) : 0;
         Py_XDECREF(action);
     }
@@ -165,7 +164,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
 }
 
 /* Sets an entry from a tuple (low, high, is_whole, column, table or None). */
-static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
+static int set_entry(Entry *entry, PyObject *spec)
 {
     PyObject *table;
     Floats controls = {NULL, 1};
@@ -182,7 +181,7 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
         return refuse("a table must have a row for each whole number");
     }
     entry->table = controls.data;
-    if (entry->column < 0 || controls.size / steps > self->num_columns - entry->column) {
+    if (entry->column < 0 || controls.size / steps > NUM_CONTROLS - entry->column) {
         return refuse("an entry has a column beyond the last one");
     }
     entry->width = (int)(controls.size / steps);
@@ -195,21 +194,19 @@ static int set_leaf(ActionReader *self, Leaf *leaf, PyObject *specs)
     leaf->count = PyTuple_GET_SIZE(specs);
     if (!(leaf->entries = room_for(self, leaf->count, sizeof *leaf->entries))) return -1;
     for (npy_intp i = 0; i < leaf->count; i++) {
-        if (set_entry(self, leaf->entries + i, PyTuple_GET_ITEM(specs, i)) < 0) return -1;
+        if (set_entry(leaf->entries + i, PyTuple_GET_ITEM(specs, i)) < 0) return -1;
     }
     return 0;
 }
 
-/* ActionReader(names, leaves, num_columns) */
+/* ActionReader(names, leaves) */
 static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *leaves;
-    if (!PyArg_ParseTuple(args, "O!O!i", &PyTuple_Type, &self->names, &PyTuple_Type, &leaves,
-                          &self->num_columns)) {
+    if (!PyArg_ParseTuple(args, "O!O!", &PyTuple_Type, &self->names, &PyTuple_Type, &leaves)) {
         return -1;
     }
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names), count = PyTuple_GET_SIZE(leaves);
-    if (self->num_columns < 1) return refuse("there are no columns");
     if (count != (num_names ? num_names : 1)) {
         return refuse("expected one leaf per name, or one leaf without a name");
     }

@@ -24,24 +24,22 @@ static int as_array(PyObject *object, int type, int flags, void *out)
     return 1;
 }
 
-#define CONVERTER(NAME, TYPE, FLAGS)                                                              \
-    int NAME(PyObject *object, void *out)                                                         \
+#define CONVERTERS(NAME, TYPE)                                                                    \
+    int as_##NAME(PyObject *object, void *array)                                                  \
     {                                                                                             \
-        return as_array(object, TYPE, FLAGS, out);                                                \
+        return as_array(object, TYPE, 0, array);                                                  \
+    }                                                                                             \
+    int as_written_##NAME(PyObject *object, void *array)                                          \
+    {                                                                                             \
+        return as_array(object, TYPE, NPY_ARRAY_WRITEABLE, array);                                \
     }
 
-CONVERTER(as_floats, NPY_FLOAT32, 0)
-CONVERTER(as_written_floats, NPY_FLOAT32, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_doubles, NPY_FLOAT64, 0)
-CONVERTER(as_written_doubles, NPY_FLOAT64, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_indices, NPY_INTP, 0)
-CONVERTER(as_written_indices, NPY_INTP, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_wholes, NPY_INT64, 0)
-CONVERTER(as_written_wholes, NPY_INT64, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_bytes, NPY_INT8, 0)
-CONVERTER(as_written_bytes, NPY_INT8, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_flags, NPY_BOOL, 0)
-CONVERTER(as_written_flags, NPY_BOOL, NPY_ARRAY_WRITEABLE)
+CONVERTERS(floats, NPY_FLOAT32)
+CONVERTERS(doubles, NPY_FLOAT64)
+CONVERTERS(indices, NPY_INTP)
+CONVERTERS(wholes, NPY_INT64)
+CONVERTERS(bytes, NPY_INT8)
+CONVERTERS(flags, NPY_BOOL)
 
 int is_tuple(PyObject *object)
 {

@@ -14,27 +14,19 @@
 #endif
 #include <numpy/arrayobject.h>
 
-/* C-contiguous, aligned NumPy arrays: their data and number of elements. */
-typedef struct { float *data; npy_intp size; } Floats;
-typedef struct { double *data; npy_intp size; } Doubles;
-typedef struct { npy_intp *data; npy_intp size; } Indices;
-typedef struct { npy_int64 *data; npy_intp size; } Wholes;
-typedef struct { npy_int8 *data; npy_intp size; } Bytes;
-typedef struct { npy_bool *data; npy_intp size; } Flags;
+/* A C-contiguous, aligned NumPy array: its data and number of elements. as_NAME and as_written_NAME
+   are converters for "O&" of PyArg_ParseTuple; as_written_NAME requires a writeable array. */
+#define ARRAY_TYPE(TYPE, NAME, ELEMENT)                                                           \
+    typedef struct { ELEMENT *data; npy_intp size; } TYPE;                                        \
+    int as_##NAME(PyObject *object, void *array);                                                 \
+    int as_written_##NAME(PyObject *object, void *array);
 
-/* Converters for "O&" of PyArg_ParseTuple. as_written_* require a writeable array. */
-int as_floats(PyObject *object, void *floats);
-int as_written_floats(PyObject *object, void *floats);
-int as_doubles(PyObject *object, void *doubles);
-int as_written_doubles(PyObject *object, void *doubles);
-int as_indices(PyObject *object, void *indices);
-int as_written_indices(PyObject *object, void *indices);
-int as_wholes(PyObject *object, void *wholes);
-int as_written_wholes(PyObject *object, void *wholes);
-int as_bytes(PyObject *object, void *bytes);
-int as_written_bytes(PyObject *object, void *bytes);
-int as_flags(PyObject *object, void *flags);
-int as_written_flags(PyObject *object, void *flags);
+ARRAY_TYPE(Floats, floats, float)
+ARRAY_TYPE(Doubles, doubles, double)
+ARRAY_TYPE(Indices, indices, npy_intp)
+ARRAY_TYPE(Wholes, wholes, npy_int64)
+ARRAY_TYPE(Bytes, bytes, npy_int8)
+ARRAY_TYPE(Flags, flags, npy_bool)
 
 /* Returns whether an object is a tuple; sets a TypeError if not. PyArg_ParseTuple needs one. */
 int is_tuple(PyObject *object);

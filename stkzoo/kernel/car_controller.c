@@ -8,7 +8,7 @@
 #include <math.h>
 
 enum { NUM_GEARS = 4 };
-enum { THROTTLE, STEERING, BRAKE };
+enum { THROTTLE, STEERING, BRAKE }; /* the first controls */
 
 /* The measured model of a kart: PEDALS in stkzoo.wrappers.control.kart. */
 typedef struct {
@@ -29,7 +29,6 @@ typedef struct {
        speeds), and in [-1, 1] (otherwise in physical units). */
     int is_speed, is_angle, is_normalized;
     double steer_low, steer_high, low, high, v_min, v_max, sv_max, speed_gain, steer_lag;
-    int columns[3], num_columns; /* columns of throttle, steering and brake */
 } CarController;
 
 static double clipped(double value, double low, double high)
@@ -117,8 +116,8 @@ static void drive(const CarController *self, const Kart *kart, State *state, flo
     const Pedals *pedals = self->pedals;
     const double speed = kart->velocity_lc[2], step = state->step_size;
     const double most = kart->max_steer_angle > 1e-3 ? kart->max_steer_angle : 1e-3;
-    const double turn = physical(self, row[self->columns[STEERING]], self->steer_low, self->steer_high);
-    const double asked = physical(self, row[self->columns[THROTTLE]], self->low, self->high);
+    const double turn = physical(self, row[STEERING], self->steer_low, self->steer_high);
+    const double asked = physical(self, row[THROTTLE], self->low, self->high);
     double accl = accelerate(self, asked, speed, step), throttle;
     int brake;
     state->angle = steer(self, turn, state->angle, most, step);
@@ -133,9 +132,9 @@ static void drive(const CarController *self, const Kart *kart, State *state, flo
         const double given = effect(pedals, throttle, brake, speed, step);
         state->owed = clipped((accl - given) * step, -2.0, 2.0);
     }
-    row[self->columns[THROTTLE]] = (float)throttle;
-    row[self->columns[STEERING]] = (float)(state->angle / most);
-    row[self->columns[BRAKE]] = (float)brake;
+    row[THROTTLE] = (float)throttle;
+    row[STEERING] = (float)(state->angle / most);
+    row[BRAKE] = (float)brake;
 }
 
 /* drive(controls, rows, data, karts, states, places): for each i, replaces the action in row
@@ -153,7 +152,7 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
                           as_indices, &places)) {
         return NULL;
     }
-    const npy_intp num_rows = controls.size / self->num_columns;
+    const npy_intp num_rows = controls.size / NUM_CONTROLS;
     if (check_rows("kart", karts, snapshot.header->num_kart, rows, num_rows) < 0 ||
         check_rows("state", places, memory.size / 3, rows, num_rows) < 0) {
         return NULL;
@@ -161,28 +160,24 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
     State *states = (State *)memory.data;
     for (npy_intp i = 0; i < rows.size; i++) {
         drive(self, snapshot.karts + karts.data[i], states + places.data[i],
-              controls.data + rows.data[i] * self->num_columns);
+              controls.data + rows.data[i] * NUM_CONTROLS);
     }
     Py_RETURN_NONE;
 }
 
-/* CarController(kinds, limits, pedals, columns, num_columns): whether the numbers are a speed, an
-   angle and normalized; the limits of the numbers and of the kart; the model of the kart. */
+/* CarController(kinds, limits, pedals): whether the numbers are a speed, an angle and normalized; the
+   limits of the numbers and of the kart; the model of the kart. */
 static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     Doubles model;
-    int *columns = self->columns;
-    if (!PyArg_ParseTuple(args, "(ppp)(ddddddddd)O&(iii)i", &self->is_speed, &self->is_angle,
+    if (!PyArg_ParseTuple(args, "(ppp)(ddddddddd)O&", &self->is_speed, &self->is_angle,
                           &self->is_normalized, &self->steer_low, &self->steer_high, &self->low,
                           &self->high, &self->v_min, &self->v_max, &self->sv_max,
-                          &self->speed_gain, &self->steer_lag, as_doubles, &model, columns, columns + 1, columns + 2,
-                          &self->num_columns)) {
+                          &self->speed_gain, &self->steer_lag, as_doubles, &model)) {
         return -1;
     }
-    int fits = model.size * sizeof(double) == sizeof(Pedals);
-    for (int i = 0; i < 3; i++) fits &= columns[i] >= 0 && columns[i] < self->num_columns;
     self->pedals = (const Pedals *)model.data;
-    return fits ? 0 : refuse("the pedals or columns do not fit");
+    return model.size * sizeof(double) == sizeof(Pedals) ? 0 : refuse("the pedals do not fit");
 }
 
 KERNEL_TYPE(CarController, controller, "Converts physical actions to controls.",

@@ -118,17 +118,6 @@ static int set_actions(GameStepper *self, const char *controls)
     return 0;
 }
 
-/* Advances the race by a step. Returns whether it is still running; -1 with an exception set on
-   failure. */
-static int advance(GameStepper *self)
-{
-    PyObject *answer = PyList_GET_SIZE(self->actions) ? PyObject_CallOneArg(self->step, self->actions)
-                                                      : PyObject_CallNoArgs(self->step);
-    const int is_running = answer ? PyObject_IsTrue(answer) : -1;
-    Py_XDECREF(answer);
-    return is_running;
-}
-
 /* ---------------------------------------------------------------- from the engine */
 
 /* Copies a number or a sequence of `count` numbers to a record, and releases `value`. */
@@ -255,12 +244,7 @@ static PyObject *snapshot_from(GameStepper *self, Block block, int is_running)
 static PyObject *write_block(const GameStepper *self, Block *block)
 {
     PyObject *state = PyObject_CallNoArgs(self->write);
-    if (!state) return NULL;
-    if (!PyTuple_Check(state) || PyTuple_GET_SIZE(state) < 1) {
-        PyErr_SetString(PyExc_TypeError, "the engine's state is not a tuple");
-        Py_CLEAR(state);
-    } else if (PyBytes_AsStringAndSize(PyTuple_GET_ITEM(state, 0), (char **)&block->data,
-                                       &block->size) < 0) {
+    if (state && !(is_tuple(state) && PyArg_ParseTuple(state, "y#", &block->data, &block->size))) {
         Py_CLEAR(state);
     }
     return state;
@@ -282,29 +266,34 @@ static PyObject *stepper_read(PyObject *self, PyObject *is_running)
     return running < 0 ? NULL : read_now((GameStepper *)self, running);
 }
 
-/* step(controls): applies the controls, a buffer of (P, 7) float32, advances the race by a step and
-   returns the next snapshot as bytes. */
-static PyObject *stepper_step(PyObject *object, PyObject *controls)
+/* Applies controls, (P, 7) float32, advances the race by a step and returns the next snapshot. */
+static PyObject *step_with(GameStepper *self, const char *controls, Py_ssize_t size)
 {
-    GameStepper *self = (GameStepper *)object;
-    const npy_intp size =
-        PyList_GET_SIZE(self->actions) * NUM_CONTROLS * (npy_intp)sizeof(float);
-    Py_buffer view;
-    if (PyObject_GetBuffer(controls, &view, PyBUF_C_CONTIGUOUS) < 0) return NULL;
-    int status = -1;
-    if (view.len == size) {
-        status = set_actions(self, view.buf);
-    } else {
-        PyErr_Format(PyExc_ValueError, "%zd bytes of controls, expected %zd", view.len, size);
+    const npy_intp num_players = PyList_GET_SIZE(self->actions);
+    const npy_intp expected = num_players * NUM_CONTROLS * (npy_intp)sizeof(float);
+    if (size != expected) {
+        return PyErr_Format(PyExc_ValueError, "%zd bytes of controls, expected %zd", size, expected);
     }
-    PyBuffer_Release(&view);
-    if (status < 0) return NULL;
-    const int is_running = advance(self);
-    if (is_running < 0) return NULL;
-    PyObject *none = PyObject_CallNoArgs(self->update);
+    if (set_actions(self, controls) < 0) return NULL;
+    PyObject *answer = num_players ? PyObject_CallOneArg(self->step, self->actions)
+                                   : PyObject_CallNoArgs(self->step);
+    const int is_running = answer ? PyObject_IsTrue(answer) : -1;
+    Py_XDECREF(answer);
+    PyObject *none = is_running < 0 ? NULL : PyObject_CallNoArgs(self->update);
     if (!none) return NULL;
     Py_DECREF(none);
     return read_now(self, is_running);
+}
+
+/* step(controls): applies the controls, a buffer of (P, 7) float32, advances the race by a step and
+   returns the next snapshot as bytes. */
+static PyObject *stepper_step(PyObject *self, PyObject *controls)
+{
+    Py_buffer view;
+    if (PyObject_GetBuffer(controls, &view, PyBUF_C_CONTIGUOUS) < 0) return NULL;
+    PyObject *data = step_with((GameStepper *)self, view.buf, view.len);
+    PyBuffer_Release(&view);
+    return data;
 }
 
 #ifndef _WIN32
@@ -327,10 +316,9 @@ static PyObject *gone(void)
     return NULL;
 }
 
-static PyObject *step_and_send(PyObject *self, int fd, PyObject *controls)
+/* Sends a snapshot; returns -1 with an exception set on failure. */
+static int send_snapshot(int fd, PyObject *data)
 {
-    PyObject *data = stepper_step(self, controls);
-    if (!data) return NULL;
     Head head = {'O', 1, (npy_uint32)PyBytes_GET_SIZE(data)};
     struct iovec parts[2] = {{&head, sizeof head},
                              {PyBytes_AS_STRING(data), (size_t)PyBytes_GET_SIZE(data)}};
@@ -338,9 +326,7 @@ static PyObject *step_and_send(PyObject *self, int fd, PyObject *controls)
     ssize_t sent;
     do sent = sendmsg(fd, &message, MSG_NOSIGNAL);
     while (sent < 0 && errno == EINTR);
-    Py_DECREF(data);
-    if (sent < 0) return gone();
-    Py_RETURN_NONE;
+    return sent < 0 ? gone(), -1 : 0;
 }
 
 /* serve(fd): serves step requests on a packet socket until another request arrives, and returns
@@ -359,12 +345,11 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
         if ((size_t)size < sizeof head || head.kind != 'A' || head.num_frames != 1) {
             return PyBytes_FromStringAndSize(room, size);
         }
-        PyObject *controls = PyMemoryView_FromMemory(room + sizeof head,
-                                                     size - (ssize_t)sizeof head, PyBUF_READ);
-        PyObject *none = controls ? step_and_send(self, fd, controls) : NULL;
-        Py_XDECREF(controls);
-        if (!none) return NULL;
-        Py_DECREF(none);
+        PyObject *data =
+            step_with((GameStepper *)self, room + sizeof head, size - (ssize_t)sizeof head);
+        const int status = data ? send_snapshot(fd, data) : -1;
+        Py_XDECREF(data);
+        if (status < 0) return NULL;
     }
 }
 
@@ -375,15 +360,19 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
 
 /* ---------------------------------------------------------------- the type */
 
-/* GameStepper(race, world, actions, controls, phases, last_phase, reporting): the engine's race,
-   world and list of actions; the names of the controls; a dict from the engine's phases to their
-   numbers; the number of all other phases; and the karts whose controls are reported. */
+/* GameStepper(functions, world, actions, controls, phases, last_phase, reporting): functions of the
+   engine's race and world; the world and the list of actions; the names of the controls; a dict from
+   the engine's phases to their numbers; the number of all other phases; and the karts whose controls
+   are reported. */
 static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *race;
-    if (!PyArg_ParseTuple(args, "OOO!O!O!iO!", &race, &self->world, &PyList_Type, &self->actions,
-                          &PyTuple_Type, &self->controls, &PyDict_Type, &self->phases,
-                          &self->last_phase, &PyTuple_Type, &self->reporting)) {
+    PyObject *functions;
+    if (!PyArg_ParseTuple(args, "O!OO!O!O!iO!", &PyTuple_Type, &functions, &self->world,
+                          &PyList_Type, &self->actions, &PyTuple_Type, &self->controls,
+                          &PyDict_Type, &self->phases, &self->last_phase, &PyTuple_Type,
+                          &self->reporting) ||
+        !PyArg_ParseTuple(functions, "OOOO", &self->step, &self->report, &self->update,
+                          &self->write)) {
         return -1;
     }
     if (PyTuple_GET_SIZE(self->controls) != NUM_CONTROLS) {
@@ -394,11 +383,7 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
     for (npy_intp i = 0; i < size; i++) self->present[i] = NAN; /* differs from every control */
-    if (!(self->step = keep(self, PyObject_GetAttrString(race, "step"))) ||
-        !(self->report = keep(self, PyObject_GetAttrString(race, "get_kart_action"))) ||
-        !(self->update = keep(self, PyObject_GetAttrString(self->world, "update"))) ||
-        !(self->write = keep(self, PyObject_GetAttrString(self->world, "__getstate__"))) ||
-        !(self->speed = keep(self, PyUnicode_InternFromString("speed"))) ||
+    if (!(self->speed = keep(self, PyUnicode_InternFromString("speed"))) ||
         !(self->angular_velocity = keep(self, PyUnicode_InternFromString("angular_velocity")))) {
         return -1;
     }

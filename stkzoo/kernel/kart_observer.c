@@ -279,13 +279,6 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
 
 /* ---------------------------------------------------------------- Python objects */
 
-static PyObject *new_array(int dimensions, npy_intp *shape, int type, void **data)
-{
-    PyObject *array = PyArray_SimpleNew(dimensions, shape, type);
-    if (array) *data = PyArray_DATA((PyArrayObject *)array);
-    return array;
-}
-
 /* Enlarges the pools until they can hold the tuples of three calls, because the caller may still
    hold those of earlier calls. Returns -1 with an exception set on failure. */
 static int grow(KartObserver *observer, npy_intp count)
@@ -356,18 +349,16 @@ static PyObject *number_rows(const Scene *scene, Entry *entry)
     return Py_NewRef(PyList_GET_ITEM(entry->pool, place));
 }
 
-static PyObject *choice_rows(const Scene *scene)
+/* Returns the items' types as a tuple of NumPy's numbers. */
+static PyObject *choice_rows(const Scene *scene, const Key *key)
 {
-    const npy_intp rows = scene->real[ITEMS];
-    PyArray_Descr *type = PyArray_DescrFromType(NPY_INT64);
-    PyObject *tuple = PyTuple_New(rows);
-    for (npy_intp i = 0; tuple && i < rows; i++) {
-        npy_int64 value = item_type(scene, i);
-        PyObject *scalar = PyArray_Scalar(&value, type, NULL);
-        if (!scalar) Py_CLEAR(tuple);
-        else PyTuple_SET_ITEM(tuple, i, scalar);
-    }
-    Py_DECREF(type);
+    npy_intp rows = scene->real[ITEMS];
+    PyObject *array = PyArray_SimpleNew(1, &rows, NPY_INT64);
+    if (!array) return NULL;
+    npy_int64 *choices = PyArray_DATA((PyArrayObject *)array);
+    for (npy_intp i = 0; i < rows; i++) choices[i] = choice_at(scene, key, i);
+    PyObject *tuple = PySequence_Tuple(array);
+    Py_DECREF(array);
     return tuple;
 }
 
@@ -379,11 +370,12 @@ static PyObject *value_of(const Scene *scene, Entry *entry)
     if (key->kind == NAME) {
         return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->snapshot.karts));
     }
-    if (key->group != OWN) return key->kind == CHOICE ? choice_rows(scene) : number_rows(scene, entry);
+    if (key->group != OWN) {
+        return key->kind == CHOICE ? choice_rows(scene, key) : number_rows(scene, entry);
+    }
     if (key->kind == CHOICE) return PyLong_FromLongLong(choice_of(scene, key));
-    void *data;
-    PyObject *array = new_array(1, &width, NPY_FLOAT32, &data);
-    if (array) write_numbers(scene, key, data);
+    PyObject *array = PyArray_SimpleNew(1, &width, NPY_FLOAT32);
+    if (array) write_numbers(scene, key, PyArray_DATA((PyArrayObject *)array));
     return array;
 }
 
@@ -408,9 +400,9 @@ static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
     const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
     const npy_bool *nitro = scene->nitro.data, *fire = scene->fire.data;
     const int no_nitro = !(scene->me->energy > 0), no_powerup = scene->me->powerup_type == 0;
-    for (npy_intp i = 0; i < rows; i++) {
-        out[i] = key->group == ACTIONS ? !((no_nitro && nitro[i]) || (no_powerup && fire[i]))
-                                       : i < real;
+    for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
+    for (npy_intp i = 0; key->group == ACTIONS && i < rows; i++) {
+        out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
     }
 }
 
@@ -489,7 +481,7 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
 static int write_rows(const KartObserver *observer, Scene *scene, Indices who, Indices rows,
                       PyObject *batch)
 {
-    Column columns[NUM_KEYS];
+    Column columns[NUM_KEYS] = {{0}};
     if (observer->parts->name && !PyDict_Check(batch)) {
         return refuse("a batch of this view must be a dict of arrays");
     }

@@ -30,7 +30,6 @@ typedef struct {
     double race_length;
     Reward *rewards;
     Py_ssize_t num_rewards;
-    npy_bool *is_racing; /* (A,) whether the agent acted in the step */
 } StepScorer;
 
 /* ---------------------------------------------------------------- rewards */
@@ -231,24 +230,17 @@ static int is_of_this_race(const StepScorer *self, const Snapshot *snapshot)
     return 0;
 }
 
-/* Computes the step of the agents `who`. The terms of all others are zeros. */
-static void advance(StepScorer *self, Indices who, const Snapshot *before, const Snapshot *after)
+static int is_among(npy_intp agent, Indices who)
 {
-    const npy_intp count = self->karts.size;
-    memset(self->is_racing, 0, (size_t)count * sizeof *self->is_racing);
-    for (npy_intp i = 0; i < who.size; i++) {
-        score(self, who.data[i], before, after);
-        self->is_racing[who.data[i]] = 1;
-    }
-    for (npy_intp agent = 0; agent < count; agent++) {
-        const npy_intp width = self->is_racing[agent] ? 0 : self->num_columns;
-        memset(row_of(self, self->last, agent), 0, (size_t)width * sizeof(double));
-    }
+    npy_intp i = 0;
+    while (i < who.size && who.data[i] != agent) i++;
+    return i < who.size;
 }
 
 /* score_into(before, after, is_over, who, slots, rewards, terminations, truncations): computes the
    step between the bytes of two snapshots, and writes the results into arrays with one element per
-   slot; agent who[i] has slots[i]. `is_over` is whether the time limit has been reached. */
+   slot; agent who[i] has slots[i]. The terms of all other agents are zeros. `is_over` is whether the
+   time limit has been reached. */
 static PyObject *scorer_score_into(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
@@ -267,9 +259,13 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
         return PyErr_Format(PyExc_ValueError, "the arrays differ in length");
     }
     if (check_rows("agent", who, self->karts.size, slots, rewards.size) < 0) return NULL;
-    advance(self, who, &before, &after);
+    for (npy_intp agent = 0; agent < self->karts.size; agent++) {
+        const npy_intp width = is_among(agent, who) ? 0 : self->num_columns;
+        memset(row_of(self, self->last, agent), 0, (size_t)width * sizeof(double));
+    }
     for (npy_intp i = 0; i < slots.size; i++) {
         const npy_intp agent = who.data[i], slot = slots.data[i];
+        score(self, agent, &before, &after);
         const npy_bool has_ended = after.karts[self->karts.data[agent]].has_finished_race > 0;
         rewards.data[slot] = total_of(self, agent);
         ended.data[slot] = has_ended;
@@ -334,20 +330,19 @@ static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
 /* Sets the numbers of columns from the shapes of `sums`, which `last` shares, and `events`. */
 static int set_columns(StepScorer *self, PyArrayObject *sums, PyArrayObject *events)
 {
-    if (PyArray_NDIM(sums) != 2 || PyArray_NDIM(events) != 2) {
-        return refuse("sums and events must be rows of numbers");
-    }
-    const npy_intp count = self->karts.size;
+    const int are_rows = PyArray_NDIM(sums) == 2 && PyArray_NDIM(events) == 2;
+    if (!are_rows) return refuse("sums and events must be rows of numbers");
     self->num_columns = PyArray_DIM(sums, 1);
     self->num_events = PyArray_DIM(events, 1);
     self->num_terms = self->num_columns - self->num_events;
-    if (PyArray_DIM(sums, 0) != count || self->reward_of.size != count ||
-        self->last.size != self->sums.size || self->num_terms < 0 ||
-        !are_below(self->reward_of, self->num_rewards) ||
-        !are_below(self->karts, PyArray_DIM(events, 0))) {
-        return refuse("the arrays do not fit together");
-    }
-    return 0;
+    const npy_intp sizes[][2] = {
+        {PyArray_DIM(sums, 0), self->karts.size},
+        {self->reward_of.size, self->karts.size},
+        {self->last.size, self->sums.size},
+        {self->num_terms >= 0 && are_below(self->reward_of, self->num_rewards), 1},
+        {are_below(self->karts, PyArray_DIM(events, 0)), 1},
+    };
+    return ARE_SIZES(sizes);
 }
 
 /* StepScorer(karts, reward_of, last, sums, race_length, rewards, events): `rewards` is a tuple of
@@ -364,7 +359,6 @@ static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(k
     self->num_rewards = PyTuple_GET_SIZE(rewards);
     if (set_columns(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 3),
                     (PyArrayObject *)PyTuple_GET_ITEM(args, 6)) < 0 ||
-        !(self->is_racing = room_for(self, self->karts.size, sizeof *self->is_racing)) ||
         !(self->rewards = room_for(self, self->num_rewards, sizeof *self->rewards))) {
         return -1;
     }

@@ -190,11 +190,11 @@ class ViewPlan:
     def new_reader(self) -> ActionReader:
         """Returns the object that converts actions to controls."""
         names = () if set(self.leaves) == {""} else tuple(self.leaves)
-        return ActionReader(names, tuple(self.leaves.values()), len(self.columns))
+        return ActionReader(names, tuple(self.leaves.values()))
 
     def new_controller(self) -> CarController | None:
         """Returns the converter from actions in physical units to controls, if there is one."""
-        return None if self.car is None else self.car.car_action.new_controller(self.columns)
+        return None if self.car is None else self.car.car_action.new_controller()
 
     def new_observer(self) -> KartObserver:
         """Returns the object that makes observations from the game's records only."""

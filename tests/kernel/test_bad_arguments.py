@@ -117,7 +117,8 @@ def stepper_arguments():
         get_kart_action=lambda _: SimpleNamespace(**dict.fromkeys(CONTROLS, 0.0)),
     )
     actions = [SimpleNamespace(), SimpleNamespace()]
-    return race, world, actions, CONTROLS, {"go": 2}, 3, (1,)
+    functions = race.step, race.get_kart_action, world.update, world.__getstate__
+    return functions, world, actions, CONTROLS, {"go": 2}, 3, (1,)
 
 
 #: Methods that write into the caller's arrays.
@@ -227,16 +228,16 @@ def test_indices_and_snapshots_out_of_range_are_refused(changes, message):
 
 
 def test_controls_can_be_unaligned():
-    race, world, actions, *rest = stepper_arguments()
-    stepper = kernel.GameStepper(race, world, actions, *rest)
+    functions, world, actions, *rest = stepper_arguments()
+    stepper = kernel.GameStepper(functions, world, actions, *rest)
     controls = np.arange(14, dtype=np.float32)
     stepper.step(memoryview(b"??????" + controls.tobytes())[6:])
     assert [action.acceleration for action in actions] == [0.0, 7.0]
 
 
 def test_a_block_with_too_few_items_is_refused():
-    race, world, *rest = stepper_arguments()
-    stepper = kernel.GameStepper(race, world, *rest)
+    functions, world, *rest = stepper_arguments()
+    stepper = kernel.GameStepper(functions, world, *rest)
     world.block = world.block[:-ITEM_SIZE] + struct.pack("<i", 2**31 - 1)
     with pytest.raises(ValueError, match="too short for its items"):
         stepper.read(True)
@@ -254,7 +255,7 @@ def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
 
 def test_a_table_without_rows_is_refused():
     with pytest.raises(ValueError, match="row for each whole number"):
-        kernel.ActionReader((), (((0.0, -1.0, True, 0, np.zeros(7, np.float32)),),), 7)
+        kernel.ActionReader((), (((0.0, -1.0, True, 0, np.zeros(7, np.float32)),),))
 
 
 #: A conversion that fails after it has removed the last reference to its number.
@@ -269,8 +270,8 @@ class Clearing(int):
 
 action = {"first": Clearing(1), "second": 1}
 leaves = tuple(((0.0, 1.0, True, column, None),) for column in range(2))
-reader = kernel.ActionReader(("first", "second"), leaves, 2)
-controls = np.zeros(2, np.float32)
+reader = kernel.ActionReader(("first", "second"), leaves)
+controls = np.zeros(7, np.float32)
 print(reader.read({"kart_0": action}, ("kart_0",), np.zeros(1, np.intp), controls))
 """
 

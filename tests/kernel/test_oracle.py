@@ -188,9 +188,9 @@ def test_rows_are_the_same_with_and_without_the_kernel(view, track, numpy_only):
 @pytest.mark.parametrize("longitudinal", ["speed", "accl"])
 def test_the_car_controller_matches_its_oracle(longitudinal, steering, normalize, lag, monkeypatch):
     car = CarAction((longitudinal, steering), {"T_steer": lag}, normalize)
-    controller = car.new_controller(CONTROLS)
+    controller = car.new_controller()
     with replaced_kernel(monkeypatch, {"CarController": oracle.CarController}):
-        other = car.new_controller(CONTROLS)
+        other = car.new_controller()
     random, count = np.random.default_rng(0), 40
     states = np.zeros((count, 3))
     karts, where = np.zeros(count, KART_DTYPE), np.arange(count)
@@ -337,7 +337,7 @@ def test_actions_are_read_as_by_the_wrappers(view):
     random = np.random.default_rng(0)
     plan = chains._plans["kart_0"]
     names = () if set(plan.leaves) == {""} else tuple(plan.leaves)
-    twin = oracle.ActionReader(names, tuple(plan.leaves.values()), 7)
+    twin = oracle.ActionReader(names, tuple(plan.leaves.values()))
     place = np.zeros(1, np.intp)
     (group,) = chains._roster(Seats(("kart_0",), place, place, 1, place)).groups
     num_taken = 0
@@ -365,12 +365,12 @@ def test_batches_of_actions_match_the_oracle():
         ((-1.0, 1.0, False, 0, None),),
         ((0.0, 3.0, True, 1, table), (0.0, 1.0, True, 3, None)),
     )
-    readers = [made(("a", "b"), leaves, 4) for made in (ActionReader, oracle.ActionReader)]
+    readers = [made(("a", "b"), leaves) for made in (ActionReader, oracle.ActionReader)]
     slots, rows, num_taken = np.array([4, 0, 2]), np.array([1, 0, 3]), 0
     for _ in range(500):
         good = {"a": random.uniform(-1, 1, (5, 1)), "b": random.integers(0, 2, (5, 2))}
         batch = fuzzed(random, good) if random.random() < 0.5 else good
-        ours, theirs = np.ones((2, 5, 4), np.float32)
+        ours, theirs = np.ones((2, 5, 7), np.float32)
         is_read = readers[0].read(batch, slots, rows, ours, 5)
         if is_read:
             num_taken += 1

@@ -16,11 +16,8 @@ _SCALARS = (bool, int, float, np.bool_, np.integer, np.floating)
 
 
 class ActionReader:
-    def __init__(
-        self, names: tuple[str, ...], leaves: tuple[tuple[Entry, ...], ...], num_columns: int
-    ) -> None:
+    def __init__(self, names: tuple[str, ...], leaves: tuple[tuple[Entry, ...], ...]) -> None:
         self._names = names
-        del num_columns
         self._leaves = tuple(tuple(map(_with_rows, leaf)) for leaf in leaves)
 
     def read(

@@ -8,25 +8,26 @@ import numpy as np
 
 from stkzoo.engine.snapshot import Snapshot
 
+#: Columns of the controls.
+_THROTTLE, _STEER, _BRAKE = range(3)
+
 
 class CarController:
-    def __init__(self, kinds, limits, pedals, columns, _):
+    def __init__(self, kinds, limits, pedals):
         self._is_speed, self._is_angle, self._is_normalized = kinds
         self._ranges = (limits[0], limits[1]), (limits[2], limits[3])
         self._v_min, self._v_max, self._sv_max, self._gain, self._lag = limits[4:]
         self._gears, self._thrusts, self._brakes, rest = np.split(pedals, [4, 9, 14])
         self._reverse, self._reverse_speed, self._roll_drag, self._air_drag, *rest = rest
         self._self_stop_speed, self._stop_speed, self._rolling = rest
-        self._columns = columns
 
     def drive(self, controls, rows, data, karts, states, places):
         kart = Snapshot(data).karts[karts]
         speed = kart["velocity_lc"][:, 2].astype(np.float64)
         most = np.maximum(kart["max_steer_angle"].astype(np.float64), 1e-3)
         angle, owed, step = states[places].T
-        throttle_column, steer_column, brake_column = self._columns
-        turn = self._physical(controls[rows, steer_column], *self._ranges[0])
-        asked = self._physical(controls[rows, throttle_column], *self._ranges[1])
+        turn = self._physical(controls[rows, _STEER], *self._ranges[0])
+        asked = self._physical(controls[rows, _THROTTLE], *self._ranges[1])
         angle = self._steer(turn, angle, most, step)
         if self._is_speed:
             accl = (asked - speed) * np.minimum(self._gain, 0.8 / step)
@@ -41,9 +42,9 @@ class CarController:
             throttle, brake = self._press(accl, speed, step)
             owed = np.clip((accl - self._effect(throttle, brake, speed, step)) * step, -2.0, 2.0)
         states[places, 0], states[places, 1] = angle, owed
-        controls[rows, throttle_column] = throttle
-        controls[rows, steer_column] = angle / most
-        controls[rows, brake_column] = brake
+        controls[rows, _THROTTLE] = throttle
+        controls[rows, _STEER] = angle / most
+        controls[rows, _BRAKE] = brake
 
     def _physical(self, values, low, high):
         values = values.astype(np.float64)

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
 from stkzoo._checks import check_flag, check_number, check_whole, unknown_name
-from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import CarController
 from stkzoo.wrappers.control.kart import PEDALS, CarParameters, acceleration_of
@@ -23,8 +23,6 @@ FloatArray = npt.NDArray[np.floating[Any]]
 #: Limits of a kart, as the constructors take them.
 Parameters = CarParameters | Mapping[str, float] | None
 
-#: The game's controls that an action sets.
-_CONTROLS = ("acceleration", "steer", "brake")
 #: Places in the state of a car, as in F1TENTH gymkhana.
 _ANGLE, _SPEED = 2, 3
 
@@ -288,22 +286,15 @@ class CarAction:
         low, high = zip(self.steer_bounds, self.throttle_bounds, strict=True)
         self.space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
 
-    def new_controller(self, columns: Sequence[str]) -> CarController:
-        """Returns the object that computes :meth:`controls` for several karts of a race.
-
-        Args:
-            columns: names of the game's controls.
-        """
+    def new_controller(self) -> CarController:
+        """Returns the object that computes :meth:`controls` for several karts of a race."""
         kart, is_angle = self.params, self.steering.type == "steering_angle"
         ranges = [float(limit[number]) for number in (0, 1) for limit in (self._low, self._high)]
         limits = kart.v_min, kart.v_max, kart.sv_max, kart.speed_gain, kart.T_steer
-        throttle, steer, brake = map(columns.index, _CONTROLS)
         return CarController(
             (self.longitudinal.is_fed_back, is_angle, self.normalize),
             (*ranges, *limits),
             PEDALS,
-            (throttle, steer, brake),
-            len(columns),
         )
 
     def act(
@@ -359,15 +350,15 @@ class CarAction:
         numbers = np.asarray(action, np.float32)
         karts = np.zeros(np.broadcast_shapes(numbers.shape[:-1], np.shape(speed)), KART_DTYPE)
         karts["velocity_lc"][..., 2], karts["max_steer_angle"] = speed, max_steer_angle
-        controls = np.zeros((*karts.shape, 3), np.float32)
+        controls = np.zeros((*karts.shape, len(CONTROLS)), np.float32)
         controls[..., 0], controls[..., 1] = numbers[..., 1], numbers[..., 0]
         states = np.zeros((*karts.shape, 3))
         states[..., :2], states[..., 2] = memory, step_size or self.timestep
         header, items = np.zeros((), HEADER_DTYPE), np.zeros(0, ITEM_DTYPE)
         data = Snapshot.of(header, karts.reshape(-1), items).data  # type: ignore[arg-type]
         rows = np.arange(karts.size)
-        self.new_controller(_CONTROLS).drive(controls, rows, data, rows, states, rows)
-        return controls, states[..., :2]
+        self.new_controller().drive(controls, rows, data, rows, states, rows)
+        return controls[..., :3], states[..., :2]
 
     def read(
         self,
