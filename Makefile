@@ -13,7 +13,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal --durations=25
 # The tests start hundreds of programs, which start faster with cached bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
-C_SOURCES := setup.py $(wildcard stkzoo/kernel/*.[ch] agents/planning/*.[ch])
+C_SOURCES := setup.py $(wildcard stkzoo/kernel/*.[ch] stkzoo/engine/*.c agents/planning/*.[ch])
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
 # $(call apt_install,PACKAGES): updates the package lists only if the first attempt fails.

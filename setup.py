@@ -37,6 +37,7 @@ if sys.platform == "linux" and _COMPILING & set(sys.argv):
     _check_compiler()
 
 _IS_LINUX = sys.platform == "linux"
+_LIBM_SOURCES = ["stkzoo/engine/libm.c"] if _IS_LINUX else []
 _PARTS = (
     "module",
     "action_reader",
@@ -50,7 +51,6 @@ _PARTS = (
     "rows",
     "step_scorer",
     "track_graph",
-    *(["libm"] if _IS_LINUX else []),
 )
 
 _PLANNING_PARTS = ("module", "memory", "network", "viewer", "weigher")
@@ -64,7 +64,7 @@ else:
 
 _KERNEL = Extension(
     "stkzoo.kernel._kernel",
-    sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
+    sources=[*(f"stkzoo/kernel/{part}.c" for part in _PARTS), *_LIBM_SOURCES],
     depends=[f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel")],
     include_dirs=[numpy.get_include()],
     # Hidden functions: the extensions then call their own libm, not that of the system.
@@ -79,7 +79,7 @@ _PLANNING = Extension(
             for part in ("module", "memory", "network", "viewer", "weigher")
         ),
         "stkzoo/kernel/arguments.c",
-        *(["stkzoo/kernel/libm.c"] if _IS_LINUX else []),
+        *_LIBM_SOURCES,
     ],
     depends=[
         *(f"agents/planning/{part}.h" for part in ("planning", "vectors")),
@@ -92,7 +92,7 @@ _PLANNING = Extension(
 # Not a Python module: the dynamic linker loads it into engine processes.
 _LIBM = Extension(
     "stkzoo.engine._libm",
-    sources=["stkzoo/kernel/libm.c"],
+    sources=_LIBM_SOURCES,
     extra_compile_args=_FLAGS,
     libraries=_LIBRARIES,
 )

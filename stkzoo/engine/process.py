@@ -46,7 +46,7 @@ NO_COPIES = (
     "use_subprocess=True, and with STKZOO_START_METHOD not set to spawn"
 )
 
-#: Functions of the C library with the same results in all its versions (``stkzoo/kernel/libm.c``).
+#: Functions of the C library with the same results in all its versions (``stkzoo/engine/libm.c``).
 #: Only Linux has the file.
 LIBM = Path(__file__).with_name("_libm" + EXTENSION_SUFFIXES[0])
 

@@ -101,7 +101,7 @@ def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
         "docs/conf.py",
         "agents/planning/planning.h",
         "stkzoo/kernel/kernel.h",
-        "stkzoo/kernel/libm.c",
+        "stkzoo/engine/libm.c",
         "stkzoo/py.typed",
         "wrappers/marl/teams.py",
     ):
