@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,24 +52,45 @@ def locked_folder(folder: Path, noun: str) -> Iterator[None]:
     The incomplete files of killed programs in the folder and its subfolders are removed.
 
     Args:
-        folder: the folder.
+        folder: the folder, or a link to it. It may be from somebody else, so links in it to other
+            folders are refused: files would be written and removed there.
         noun: what the folder is for, such as ``"run"``.
 
     Raises:
-        ConfigError: the folder cannot be used, or another program has locked it.
+        ConfigError: the folder cannot be used, contains a link to a folder, or another program has
+            locked it.
     """
     with using_folder(folder, noun):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = open(folder / LOCK, "a")  # noqa: SIM115
-    with lock:
+        for entry in folder.iterdir():
+            if entry.is_symlink() and entry.is_dir():
+                raise ConfigError(
+                    f"{entry} is a link to a folder, in which the {noun} would change files; "
+                    "replace it by the folder itself, or remove it"
+                )
+        lock = open_lock(folder / LOCK)
+    try:
         with using_folder(folder, noun):
-            is_locked = try_lock(lock.fileno())
+            is_locked = try_lock(lock)
         if not is_locked:
             raise ConfigError(
                 f"another program works on the {noun} in {folder}; wait until it ends, or choose "
                 "another folder"
             )
-        for pattern in (PART_FILES, f"*/{PART_FILES}"):
-            for part in folder.glob(pattern):
+        with using_folder(folder, noun):
+            for part in (*folder.glob(PART_FILES), *folder.glob(f"*/{PART_FILES}")):
                 part.unlink(missing_ok=True)
         yield
+    finally:
+        os.close(lock)
+
+
+def open_lock(file: Path) -> int:
+    """Opens a file to lock, which is created if needed and replaces a link; returns a descriptor.
+
+    Raises:
+        OSError: the file cannot be opened. A pipe does not block.
+    """
+    if file.is_symlink():
+        file.unlink()
+    return os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)

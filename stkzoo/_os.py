@@ -16,10 +16,11 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from stkzoo._schema import plain_text
 from stkzoo.errors import ConfigError, StkzooError, reason
 
-#: Glob pattern of the temporary files of :func:`atomic_write`.
-PART_FILES = ".*.part"
+#: Glob pattern of the temporary files of :func:`write_whole`.
+PART_FILES = ".stkzoo-*.part"
 #: Variables that name a display for windows, by the names of SDL's drivers.
 _DISPLAYS = {"x11": "DISPLAY", "wayland": "WAYLAND_DISPLAY"}
 #: Environment variables that determine the display for windows.
@@ -149,8 +150,8 @@ def _problem_of(file: Path) -> str:
     Raises:
         OSError: the name is invalid, for example too long.
     """
-    folder = _target_of(file).parent
-    if file.exists() and not file.is_file():
+    folder = file.absolute().parent
+    if _is_special(file):
         return "it is not a regular file; choose another name"
     if not folder.is_dir():
         return f"there is no folder {str(folder)!r}; make it first"
@@ -195,7 +196,9 @@ def make_folder(folder: Path, noun: str) -> None:
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def write_whole(
+    path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
+) -> Iterator[Path]:
     """Yields a temporary file to write, which replaces ``path`` when the block ends.
 
     The temporary file is flushed to the disk before the replacement. After a crash of the program
@@ -203,44 +206,40 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     error in the block, the temporary file is removed. An existing file keeps its permissions.
 
     Args:
-        path: the file. If it is a link, the file that it names is replaced.
+        path: the file. If it is a link, the file replaces the link; what it names stays as it is.
+        noun: name of the content in the error text, such as ``"the plot"``.
+        error_type: class of the error.
 
     Raises:
-        OSError: the file cannot be written, or ``path`` is a device, a pipe or a folder.
+        StkzooError: the file cannot be written, or ``path`` is a device, a pipe, a folder or a link
+            to one of these; the error is an ``error_type``.
     """
-    file = Path(path)
-    if file.exists() and not file.is_file():  # replacing a device would destroy it
-        raise FileExistsError(errno.EEXIST, "it exists and is not a regular file", str(file))
-    target = _target_of(file)
-    # The name is cut, because systems limit names to 255 bytes, which can be 63 letters.
-    part = target.with_name(f".{target.name[:50]}.{secrets.token_hex(4)}.part")
-    try:
-        mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
-        granted = 0o666 if mode is None else mode & 0o666 | 0o600  # the system applies the umask
-        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, granted))
-    except OSError as error:  # without the temporary name, which means nothing to users
-        raise OSError(error.errno, error.strerror) from error
-    try:
-        yield part
-        _flush(part)
-        if mode is not None:
-            part.chmod(mode)
-        part.replace(target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise
-    with contextlib.suppress(OSError):  # some systems cannot flush folders
-        _flush(target.parent)
-
-
-@contextlib.contextmanager
-def write_whole(
-    path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
-) -> Iterator[Path]:
-    """Calls :func:`atomic_write` and converts its OSError; see :func:`writing`."""
-    with writing(path, noun, error_type), atomic_write(path) as part:
-        yield part
+    with writing(path, noun, error_type):
+        target = Path(path).absolute()
+        if _is_special(target):  # replacing a device would destroy it
+            raise FileExistsError(errno.EEXIST, "it exists and is not a regular file", str(path))
+        # The name is cut, because systems limit names to 255 bytes, which can be 63 letters.
+        part = target.with_name(f".stkzoo-{target.name[:50]}.{secrets.token_hex(4)}.part")
+        try:
+            has_mode = target.exists() and not target.is_symlink()
+            mode = stat.S_IMODE(target.stat().st_mode) if has_mode else None
+            # The system applies the umask.
+            granted = 0o666 if mode is None else mode & 0o666 | 0o600
+            os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, granted))
+        except OSError as error:  # without the temporary name, which means nothing to users
+            raise OSError(error.errno, error.strerror) from error
+        try:
+            yield part
+            _flush(part)
+            if mode is not None:
+                part.chmod(mode)
+            part.replace(target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                part.unlink()
+            raise
+        with contextlib.suppress(OSError):  # some systems cannot flush folders
+            _flush(target.parent)
 
 
 @contextlib.contextmanager
@@ -262,6 +261,20 @@ def writing(
     except OSError as error:
         why = str(error) if error.filename else reason(error)
         raise error_type(f"{noun} {path} cannot be written: {why}".lstrip()) from error
+
+
+def sentence_of(error: StkzooError | OSError) -> str:
+    """Returns the sentence of a command about an error of stkzoo or about an unusable file.
+
+    Raises:
+        OSError: the error is not about a file.
+    """
+    if isinstance(error, StkzooError):
+        return plain_text(str(error))  # it may name strange files
+    if error.filename is None:
+        raise error
+    problem = f"{error.filename} cannot be used: {reason(error)}"
+    return plain_text(f"{problem}; move it away, or choose another")
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -307,16 +320,22 @@ def read_blocks(path: Path, most: int = sys.maxsize) -> Iterator[bytes]:
     Args:
         path: the file.
         most: maximum size of all blocks [bytes]; the rest of the file is left out.
+
+    Raises:
+        OSError: the file cannot be read, or is a device or a pipe, which would block.
     """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     with path.open("rb") as stream:
         while block := stream.read(min(_BLOCK, most)):
             yield block
             most -= len(block)
 
 
-def _target_of(file: Path) -> Path:
-    """Returns the absolute path of a file, or of the file that a link names."""
-    return Path(os.path.realpath(file)) if file.is_symlink() else file.absolute()
+def _is_special(file: Path) -> bool:
+    """Returns whether a path is a folder, device or pipe, a link to one, or ``/dev/stdout``."""
+    is_stream = file.is_symlink() and os.readlink(file).startswith("/proc/")
+    return is_stream or (file.exists() and not file.is_file())
 
 
 def _flush(path: Path) -> None:

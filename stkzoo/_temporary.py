@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import stat
 import subprocess
 import tempfile
 import threading
@@ -59,32 +60,62 @@ def _program_folder() -> Path:
 
 def _new_program_folder() -> Path:
     """Creates a folder that is locked until this program ends or is killed."""
-    while True:
-        folder = Path(tempfile.gettempdir(), _PREFIX + secrets.token_hex(8))
-        # Registered first, because Ctrl-C may interrupt the next lines. Finalizers also run at the
-        # end of a process of multiprocessing, and never in a fork of this one.
-        Finalize(None, remove_tree, (folder,), exitpriority=0)
-        folder.mkdir(mode=0o700)
-        with suppress(FileNotFoundError):  # another program can remove it before it is locked
-            lock = os.open(folder, os.O_RDONLY)
-            if try_lock(lock, shared=True) and folder.exists():
-                return folder
-            os.close(lock)
+    folder = Path(tempfile.gettempdir(), _PREFIX + secrets.token_hex(8))
+    # Registered first, because Ctrl-C may interrupt the next lines. Finalizers also run at the
+    # end of a process of multiprocessing, and never in a fork of this one.
+    Finalize(None, remove_marked, (folder,), exitpriority=0)
+    folder.mkdir(mode=0o700)
+    try_lock(os.open(folder, os.O_RDONLY), shared=True)  # it stays open
+    _mark_of(folder).touch()  # last: from now on, other programs may remove it
+    return folder
 
 
-def remove_stale_folders() -> None:
-    """Removes the folders of programs that were killed: those that are not locked."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+def make_marked_folder(parent: Path, prefix: str) -> Path:
+    """Creates a temporary folder that :func:`remove_stale_folders` may remove.
+
+    Args:
+        parent: the folder in which to create it.
+        prefix: start of its name.
+    """
+    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    _mark_of(folder).touch()
+    return folder
+
+
+def remove_stale_folders(parent: str | Path = "", prefix: str = _PREFIX) -> None:
+    """Removes the folders of programs that were killed: those that are not locked.
+
+    A folder counts only with the mark that this module makes in it, so that no folder of the user
+    is removed, whatever its name.
+
+    Args:
+        parent: where to search; by default, the system's folder for temporary files.
+        prefix: start of the folders' names.
+    """
+    for folder in Path(parent or tempfile.gettempdir()).glob(f"{prefix}*"):
         with suppress(OSError):
-            if folder.is_symlink() or folder.stat().st_uid != os.geteuid():
-                continue
-            folder.chmod(0o700)
-            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
-                if try_lock(handle, if_unsupported=False):  # without locks, it may be in use
-                    remove_tree(folder)
+                mark = _mark_of(folder).lstat()
+                is_ours = stat.S_ISREG(mark.st_mode) and mark.st_uid == os.geteuid()
+                # without locks, it may be in use
+                if is_ours and try_lock(handle, if_unsupported=False):
+                    remove_marked(folder)
             finally:
                 os.close(handle)
+
+
+def remove_marked(folder: Path) -> None:
+    """Removes a folder with a mark, which is last: if this is interrupted, the mark remains."""
+    with suppress(OSError):
+        for inner in folder.iterdir():
+            remove_tree(inner)
+    remove_tree(folder)
+
+
+def _mark_of(folder: Path) -> Path:
+    """Returns the file that marks a folder, but no copy of it under another name."""
+    return folder / f".made-by-stkzoo-as-{folder.name}"
 
 
 def remove_tree(folder: Path) -> None:

@@ -4,8 +4,10 @@ import json
 import os
 import random
 import re
+import stat
 import tracemalloc
 from dataclasses import fields
+from pathlib import Path
 
 import jsonschema
 import pytest
@@ -13,8 +15,10 @@ from referencing import Registry, Resource
 
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation import BenchmarkResult, TournamentResult
+from stkzoo.evaluation.batch.order import replay_file
 from stkzoo.race import RaceResult
 from stkzoo.suite import Entry
+from stkzoo.suite.entry import replay_digest
 from tests.support.file_kinds import KINDS
 from tests.support.mutations import mutate, run_kind
 from tests.support.paths import SCHEMAS
@@ -55,6 +59,36 @@ def test_a_one_gigabyte_file_is_refused_with_little_memory(tmp_path, name):
         assert tracemalloc.get_traced_memory()[1] < 64 << 20
     finally:
         tracemalloc.stop()
+
+
+ODD = {
+    "folder": Path.mkdir,
+    "pipe": os.mkfifo,
+    "device": lambda file: file.symlink_to("/dev/zero"),
+    "dangling link": lambda file: file.symlink_to("missing"),
+    "endless link": lambda file: file.symlink_to(file.name),
+    "socket": lambda file: os.mknod(file, stat.S_IFSOCK | 0o600),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_an_odd_entry_in_place_of_a_file_is_one_sentence(tmp_path, name):
+    kind = KINDS[name]
+    file = kind.write(tmp_path, kind.valid())
+    for odd, make in ODD.items():
+        file.unlink() if file.is_symlink() or not file.is_dir() else file.rmdir()
+        make(file)
+        if name != "assets marker" or odd != "dangling link":  # data without marker is the user's
+            assert file.name in refused(kind, file)
+
+
+@pytest.mark.parametrize("odd", ["folder", "pipe", "dangling link", "endless link"])
+def test_an_odd_replay_in_an_entry_is_refused(tmp_path, odd):
+    file = replay_file(tmp_path, 0)
+    file.parent.mkdir()
+    ODD[odd](file)
+    with pytest.raises(ConfigError, match=r"00000.stkz cannot be read; delete the result"):
+        replay_digest(tmp_path, 0)
 
 
 # ---------------------------------------------------------------------- results

@@ -1,4 +1,4 @@
-"""Files are replaced as a whole, and keep their links and permissions."""
+"""Files are replaced as a whole, keep their permissions, and replace links."""
 
 import os
 
@@ -38,21 +38,36 @@ def test_a_replaced_file_keeps_its_permissions(mode, tmp_path):
     assert (file.read_text(), mode_of(file)) == ("new", mode)
 
 
-def test_the_file_that_a_link_names_is_replaced(tmp_path):
-    (tmp_path / "disk").mkdir()
-    file, link = tmp_path / "disk" / "result.json", tmp_path / "link.json"
-    link.symlink_to("disk/result.json")
-    for text in ("first", "second"):
-        write_text(link, text)
-        assert (file.read_text(), link.is_symlink()) == (text, True)
-    assert [path.name for path in (tmp_path / "disk").iterdir()] == ["result.json"]
+@pytest.mark.parametrize("link_kind", ["link", "hard link", "chain", "dangling"])
+def test_a_file_replaces_a_link_and_what_it_names_stays(link_kind, tmp_path):
+    target, output = tmp_path / "profile", tmp_path / "output"
+    target.write_text("mine")
+    target.chmod(0o644)
+    match link_kind:
+        case "hard link":
+            output.hardlink_to(target)
+        case "chain":
+            (tmp_path / "other").symlink_to(target)
+            output.symlink_to("other")
+        case _:
+            output.symlink_to(target if link_kind == "link" else "missing")
+    check_writable(output, "the result")
+    write_text(output, "new")
+    assert (output.read_text(), output.is_symlink()) == ("new", False)
+    assert (target.read_text(), mode_of(target)) == ("mine", 0o644)
+    assert not (tmp_path / "missing").exists()
 
 
-def test_a_link_into_a_missing_folder_is_reported_before_the_work(tmp_path):
-    link = tmp_path / "link.json"
-    link.symlink_to("missing/result.json")
-    with pytest.raises(ConfigError, match=r"there is no folder .*missing"):
-        check_writable(link, "the result")
+@pytest.mark.parametrize("target", [".", os.devnull, "/proc/self/fd/1", "pipe"])
+def test_a_link_to_something_that_is_no_file_is_refused(target, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    output = tmp_path / "output"
+    output.symlink_to(target)
+    with pytest.raises(ConfigError, match="not a regular file; choose another name"):
+        check_writable(output, "the result")
+    with pytest.raises(ConfigError, match=r"cannot be written: .*not a regular file"):
+        write_text(output, "new")
+    assert os.readlink(output) == target
 
 
 def test_the_longest_names_of_files_can_be_written(tmp_path):

@@ -1,12 +1,15 @@
 """Temporary folders are removed: at the end of a program, after a kill, whatever an agent left."""
 
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from stkzoo._temporary import TemporaryFolder, remove_stale_folders, remove_tree
+from stkzoo.engine.assets import clean
 from tests.support.processes import run_program
 
 #: More nested folders than Python recurses into, in a path longer than the system allows.
@@ -52,8 +55,9 @@ def nest(folder):
         "sys.exit() if os.fork() == 0 else os.wait(); assert folder.path.exists()",
         "import multiprocessing as m; m.get_context('fork').Process(target=TemporaryFolder, "
         "args=('test',)).start()",
-        "import stkzoo._temporary as t; t.remove_tree = lambda _: signal.raise_signal("
-        "signal.SIGINT) \ntry: folder.close() \nexcept KeyboardInterrupt: print('interrupted')",
+        "import stkzoo._temporary as t; kept, t.remove_tree = t.remove_tree, lambda _: "
+        "signal.raise_signal(signal.SIGINT) \ntry: folder.close() \n"
+        "except KeyboardInterrupt: t.remove_tree = kept",
     ],
     ids=["open", "forked", "multiprocessing", "interrupted"],
 )
@@ -68,21 +72,41 @@ def test_the_next_program_removes_the_folders_of_a_killed_one(place):
     nest(run_program(nest_in_killed).stdout.strip())
     with TemporaryFolder("next") as folder:
         assert names(place) == [folder.path.parent.name]
-        assert names(folder.path.parent) == [folder.path.name]
+        assert [path for path in folder.path.parent.iterdir() if path.is_dir()] == [folder.path]
 
 
 def test_only_the_folders_of_killed_programs_are_removed(place):
     running = [sys.executable, "-c", PROGRAM + "time.sleep(60)"]
     with subprocess.Popen(running, stdout=subprocess.PIPE, text=True) as program:
         folder = program.stdout.readline().strip()
-        (place / "stkzoo-other").mkdir()
         (place / "stkzoo-run-file").write_text("mine")
-        (place / "stkzoo-run-link").symlink_to(place / "stkzoo-other")
+        (place / "stkzoo-run-link").symlink_to(place)
         before = names(place)
         remove_stale_folders()
         assert names(place) == before
         assert os.path.isfile(f"{folder}/file")
         program.kill()
+
+
+def test_folders_of_the_user_are_kept_whatever_their_names(place, monkeypatch):
+    monkeypatch.setenv("STKZOO_CACHE", str(place))
+    killed = Path(run_program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)").stdout.strip())
+    names_of_users = ["mine", "0123456789abcdef", "saved", "marked", "linked"]
+    users = [place / f"stkzoo-run-{name}" for name in names_of_users]
+    users.append(place / ".stkzoo-staging-mine")
+    shutil.copytree(killed.parent, users[2])  # with the mark, under another name
+    for folder in users:
+        folder.mkdir(exist_ok=True)
+        (folder / "file").write_text("mine")
+        folder.chmod(0o755)
+    (users[3] / f".made-by-stkzoo-as-{users[3].name}").mkdir()
+    (users[4] / f".made-by-stkzoo-as-{users[4].name}").symlink_to(users[4] / "file")
+    remove_stale_folders()
+    assert clean() == []
+    assert not killed.parent.exists()
+    for folder in users:
+        assert (folder / "file").read_text() == "mine"
+        assert folder.stat().st_mode & 0o777 == 0o755
 
 
 def test_the_targets_of_links_are_kept(tmp_path):

@@ -125,6 +125,8 @@ def export_policy(
             f"{str(target)!r} is not the folder of an agent; move its files away, or give another "
             "--output"
         )
+    if files:
+        read_card(target)  # a card that is not from this function is an error
     content = packed_weights(arrays)
     facts: dict[str, Any] = {
         "name": name,

@@ -31,6 +31,7 @@ from importlib import import_module
 from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser, add_options, values_of
+from stkzoo._os import sentence_of
 from stkzoo._schema import plain_text
 from stkzoo.cli._process import INTERRUPTED, discard_stdout, end_signals, writing_stdout
 from stkzoo.errors import ConfigError, StkzooError
@@ -164,8 +165,8 @@ def _run(words: list[str]) -> int:
     try:
         with writing_stdout():
             return _exit_code(words)
-    except StkzooError as error:
-        print(f"stkzoo: {plain_text(str(error))}", file=sys.stderr)  # it may name strange files
+    except (StkzooError, OSError) as error:
+        print(f"stkzoo: {sentence_of(error)}", file=sys.stderr)
         return 1
     except MemoryError:
         print("stkzoo: there is too little memory; `ulimit -d -v` shows limits", file=sys.stderr)

@@ -14,6 +14,7 @@ Examples:
 from __future__ import annotations
 
 import json
+import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,7 +48,7 @@ def run(arguments: NewArguments) -> int:
     find_driver_view(arguments.view)
     _check_name(arguments.folder)
     folder = Path(arguments.folder)
-    name = folder.resolve().name
+    name = os.path.basename(os.path.realpath(folder))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         is_empty = not any(folder.iterdir())
@@ -79,7 +80,7 @@ def _fill(template: str, file: Path, **values: str) -> None:
 
 def _check_name(folder: str) -> None:
     """Refuses a folder that files cannot name, or that commands would not accept as an agent."""
-    path = str(Path(folder).resolve())
+    path = os.path.realpath(folder)
     is_driver = folder in driver_names() or folder.startswith(("ai:", "pretrained:"))
     if plain_text(path) != path or "@:" in folder or is_driver:
         raise ConfigError(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import re
 import select
 import sys
 import sysconfig
@@ -17,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from stkzoo._schema import plain_text
+from stkzoo._schema import ESCAPES, plain_text
 from stkzoo.errors import StkzooError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -27,8 +26,6 @@ _MAX_FRAMES = 30
 #: Maximum length of an error or a traceback [characters].
 MAX_TEXT = 4000
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
-#: Terminal escape sequences, such as colors and window titles.
-_ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
 #: Limits of the output shown for one process: bytes per line, and lines.
 _LINE_BYTES, _MAX_LINES = 300, 5000
 
@@ -90,7 +87,7 @@ def printable(text: object, limit: int | None = None) -> str:
         limit: maximum length [characters]; ``None`` for no limit.
     """
     beginning = str(text)[: None if limit is None else 4 * limit]
-    return plain_text(_ESCAPES.sub("", beginning)[:limit])
+    return plain_text(ESCAPES.sub("", beginning)[:limit])
 
 
 def agent_trace(error: BaseException) -> str:

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from msgspec import Meta, Struct
 from msgspec.msgpack import Ext
 
+from stkzoo._schema import plain_name
 from stkzoo.drivers.confinement import Confinement
 from stkzoo.drivers.failures import MAX_TEXT, agent_trace, bounded, in_words, printable
 from stkzoo.drivers.files import AgentPlace
@@ -109,7 +110,7 @@ class Ready(Message):
     """From the agent: its name, and how many track segments it uses (``None`` for all)."""
 
     name: Name
-    paths_used: Count | None
+    paths_used: Annotated[int, Meta(ge=0, le=_MAX_LENGTH)] | None
 
 
 class Decided(Message):
@@ -145,16 +146,17 @@ class Failed(Message):
             printable(bounded(str(trace))),
         )
 
-    def error(self, agent: str = "", seconds: float = 0.0) -> AgentError:
+    def error(self, agent: str = "", seconds: float = 0.0, server: str = "") -> AgentError:
         """Returns the error of an agent.
 
         Args:
             agent: id of the agent.
             seconds: time that the agent took [s].
+            server: address of its server, which begins the text; empty without a server.
         """
         error_type = AgentTimeout if self.kind == "timeout" else AgentError
         text, trace = (printable(part, MAX_TEXT) for part in (self.text, self.trace))
-        return error_type(text, agent, trace, seconds)
+        return error_type(f"{server}: {text}" if server else text, agent, trace, seconds)
 
 
 Reply: TypeAlias = Ready | Decided | Failed
@@ -163,10 +165,11 @@ Reply: TypeAlias = Ready | Decided | Failed
 def start_reply(agent: DriverInstance) -> Ready | Failed:
     """Waits until an agent is ready and returns the message about it."""
     try:
-        name = printable(agent.ready(), MAX_NAME)
+        name = plain_name(agent.ready())
     except Exception as error:  # noqa: BLE001 - an agent may raise anything
         return Failed.of(error)
-    return Ready(name, getattr(agent, "paths_used", None))
+    paths = getattr(agent, "paths_used", None)
+    return Ready(name, None if paths is None else min(paths, _MAX_LENGTH))
 
 
 # ---------------------------------------------------------------------- coding

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._schema import plain_name
 from stkzoo.config import NORMAL, TIME_TRIAL
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import (
@@ -263,7 +264,7 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
     for kart in setup.karts:
         player = kinds(
             kart=kart.kart,
-            name=_shown_name(kart.name),
+            name=plain_name(kart.name, _LONGEST_NAME),
             controller=kinds.Controller.AI_CONTROL
             if kart.is_bot
             else kinds.Controller.PLAYER_CONTROL,
@@ -272,8 +273,3 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
         )
         config.players.append(player)
     return config
-
-
-def _shown_name(name: str) -> str:
-    """Returns a name as the game can show it above a kart: a short line of printable text."""
-    return "".join(letter for letter in name if letter.isprintable())[:_LONGEST_NAME]

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import PurePath
 from typing import Any
 
+from stkzoo._schema import plain_name
 from stkzoo.drivers.driver import find_driver
-from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import AgentFiles, find_files
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.isolated import IsolatedAgent
@@ -76,7 +76,7 @@ def check_agent(
     try:
         files = find_files(path)
     except ConfigError as error:  # an existing path, such as a damaged zip
-        return AgentReport(source, printable(PurePath(path).name), False, str(error))
+        return AgentReport(source, plain_name(PurePath(path).name), False, str(error))
     driver = find_driver(source, adapter=adapter)
     if files is None or not driver.is_from_files:
         raise ConfigError(

@@ -9,6 +9,7 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo._schema import plain_name
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import bounded, fitted, in_words, json_size, printable
 from stkzoo.drivers.files import name_of_files
@@ -18,8 +19,8 @@ from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
 
 _MAX_FAILURES_KEPT = 20
-#: Maximum lengths of a name, and of a traceback including the last output [characters].
-_MAX_NAME, _MAX_TRACE = 100, 8000
+#: Maximum length of a traceback including the last output [characters].
+_MAX_TRACE = 8000
 #: Size of the texts of all failures of an agent, and minimum size for each message [bytes of JSON].
 #: Results and replays of races with 256 such agents can be read.
 _MAX_TEXTS, _MIN_MESSAGE = 16 << 10, 300
@@ -56,7 +57,7 @@ class RacingDriver:
 
     def __init__(self, driver: Driver, request: DriverRequest, settings: RaceSettings) -> None:
         self.agent = request.agent
-        self.name = one_line(driver.name)
+        self.name = plain_name(driver.name)
         self.failures: list[AgentFailure] = []
         self.num_failures = self.num_clipped = 0
         self._text_left = _MAX_TEXTS
@@ -95,7 +96,7 @@ class RacingDriver:
             self._retire()
             return
         self._is_ready = True
-        self.name = self.name or one_line(name) or self._default_name()
+        self.name = self.name or plain_name(name) or self._default_name()
 
     def ask(self, observation: Any, step: int) -> None:
         """Waits until the driver is ready, then sends the observation to it."""
@@ -195,15 +196,10 @@ class RacingDriver:
         self.close()
 
     def _default_name(self) -> str:
-        return one_line(name_of_files(self._driver.source)) or self.agent
+        return plain_name(name_of_files(self._driver.source)) or self.agent
 
     def _replacement(self) -> Any:
         """Returns the action that replaces a missing or invalid one."""
         if self._settings.error_handling == "catch" and not self.is_retired:
             return self._random_actions.sample()
         return create_zero_array(self._request.action_space)
-
-
-def one_line(name: str) -> str:
-    """Converts a name from an agent or a file to one printable line, which may be empty."""
-    return " ".join(printable(name, _MAX_NAME).split())

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._schema import distinct_name, plain_name
 from stkzoo.config import AgentSpec
 from stkzoo.drivers.driver import Driver, check_adapter, find_driver
 from stkzoo.drivers.instances import DriverRequest
@@ -25,7 +26,7 @@ from stkzoo.drivers.sandbox import (
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.racing_driver import RacingDriver, one_line
+from stkzoo.race.racing_driver import RacingDriver
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
@@ -257,10 +258,15 @@ class _RaceRun:
             member.start(0)
         for member in self.members.values():
             member.get_ready(0)
-        self._names = {
-            agent: one_line(self.members.get(agent, driver).name) or agent
-            for agent, driver in self._drivers.items()
-        }
+        self._names: dict[str, str] = {}
+        for agent, driver in self._drivers.items():
+            name = plain_name(self.members.get(agent, driver).name) or agent
+            others = (
+                taken
+                for other, taken in self._names.items()
+                if self._drivers[other].source != driver.source
+            )
+            self._names[agent] = distinct_name(name, others)
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
             spec.name = name
         self._observations, self._infos = self._env.reset(seed=self._settings.seed)

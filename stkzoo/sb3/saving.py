@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from stkzoo._checks import shortened, unknown_name
-from stkzoo._os import atomic_write, write_text
+from stkzoo._os import make_folder, write_text, write_whole
 from stkzoo.errors import ConfigError
 from stkzoo.mdp import kart_action_space
 from stkzoo.views import VIEWS
@@ -80,8 +80,8 @@ def save_agent(
         The folder, for :func:`stkzoo.race.run_race` or ``stkzoo race``.
 
     Raises:
-        ConfigError: the policy is not supported, or the view does not exist or is not that of the
-            policy.
+        ConfigError: the policy is not supported, the view does not exist or is not that of the
+            policy, or the folder has an agent that is not from this function.
     """
     if view not in VIEWS:
         raise unknown_name("view", view, VIEWS)
@@ -109,11 +109,14 @@ def save_agent(
         arrays[f"weights{number}"] = layer.weight.detach().cpu().numpy()
         arrays[f"bias{number}"] = layer.bias.detach().cpu().numpy()
     target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    with atomic_write(target / "policy.npz") as part, part.open("wb") as file:
+    make_folder(target, "agent")
+    actor = target / "pystk_actor.py"
+    if actor.is_file() and not actor.read_bytes().startswith(_ACTOR[:40].encode()):
+        raise ConfigError(f"{actor} is not from this function; move it away, or name a new folder")
+    with write_whole(target / "policy.npz", "the policy") as part, part.open("wb") as file:
         np.savez(file, **arrays)
     text = _ACTOR.format(view=view, name=name, activation=_ACTIVATIONS[activation], action=action)
-    write_text(target / "pystk_actor.py", text)
+    write_text(actor, text)
     return str(target)
 
 

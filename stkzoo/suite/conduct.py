@@ -140,7 +140,7 @@ def find_replays(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     Raises:
         ConfigError: a folder has no replays.
     """
-    files: dict[Path, Path] = {}
+    files: dict[str, Path] = {}
     for path in map(Path, paths):
         folder = path / REPLAYS if (path / REPLAYS).is_dir() else path
         in_path = sorted(folder.glob(f"*{_ENDING}")) if folder.is_dir() else [path]
@@ -149,5 +149,5 @@ def find_replays(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 f"{path} has no replays (*{_ENDING}); give a file from `stkzoo race --replay` or "
                 "the folder of an entry from `stkzoo suite evaluate`"
             )
-        files |= {file.resolve(): file for file in in_path}
+        files |= {os.path.realpath(file): file for file in in_path}
     return [*files.values()]

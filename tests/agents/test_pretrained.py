@@ -160,6 +160,10 @@ def test_exporting_does_not_overwrite_other_folders(tmp_path, capsys):
     (tmp_path / "mine" / "letter.txt").write_text("dear")
     assert main([str(file), "--name=tiny", f"--output={tmp_path / 'mine'}"]) == 1
     assert "is not the folder of an agent" in capsys.readouterr().err
+    (tmp_path / "mine" / "card.json").write_text('{"name": "Ada"}')
+    assert main([str(file), "--name=tiny", f"--output={tmp_path / 'mine'}"]) == 1
+    assert "card.json" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "card.json").read_text() == '{"name": "Ada"}'
     with pytest.raises(ConfigError, match="expected letters"):
         export_policy(file, "a b", tmp_path / "other")
 
@@ -168,7 +172,7 @@ def test_exporting_does_not_overwrite_other_folders(tmp_path, capsys):
 @pytest.mark.parametrize("step", ["write_json", "save_weights", "write_text"])
 def test_an_interrupted_export_can_be_repeated(step, agent, tmp_path, monkeypatch):
     def interrupt(path, *_):
-        path.with_name(f".{path.name}.a1b2c3d4.part").touch()
+        path.with_name(f".stkzoo-{path.name}.a1b2c3d4.part").touch()
         raise KeyboardInterrupt
 
     file, again = tmp_path / "policy-000000123.safetensors", tmp_path / "again"

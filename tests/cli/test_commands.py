@@ -1,6 +1,7 @@
 """Each module of the command line is a command."""
 
 import argparse
+import re
 import shlex
 import signal
 from pathlib import Path
@@ -8,7 +9,9 @@ from pathlib import Path
 import pytest
 
 import stkzoo.cli
+from stkzoo.agents.training.common.command import run_command as run_training
 from stkzoo.cli import COMMANDS, build_parser, main
+from stkzoo.cli.tracks import TracksArguments
 
 MODULES = sorted(Path(stkzoo.cli.__file__).parent.glob("[!_]*.py"))
 
@@ -114,3 +117,17 @@ def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name, run_command
     done = run_command([], before=TOLD_TO_END.format(name=name))
     assert (done.returncode, done.stdout) == (128 + getattr(signal, name), "kept\n")
     assert done.stderr == "stkzoo: interrupted\n"
+
+
+def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "lock\x1b[2J"
+    folder.mkdir()
+
+    def read(arguments: TracksArguments):  # noqa: ARG001 - it is a command
+        folder.read_text()
+
+    monkeypatch.setattr("stkzoo.cli.tracks.run", read)
+    assert main(["tracks"]) == 1
+    assert run_training("rate", "", folder.read_text, (), []) == 1
+    for line in capsys.readouterr().err.splitlines():
+        assert re.fullmatch(r".*: /.*/lock\?\[2J cannot be used: Is a directory; move .*", line)

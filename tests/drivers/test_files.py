@@ -68,7 +68,7 @@ def test_agents_with_modules_of_the_same_name_do_not_collide(inline, tmp_path):
     assert [row.driver for row in sorted(result.agents, key=lambda row: row.agent)] == [
         "Alpha",
         "Beta",
-        "Beta",
+        "Beta-2",
     ]
     assert not result.has_errors
 

@@ -171,8 +171,11 @@ def test_recording_resumes_after_an_interruption(driven, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         record_demonstrations("pursuit", output=file, on_race=stop, **how)
     (kept,) = (tmp_path / "d.safetensors.parts" / "races").glob("*.safetensors")
+    notes = kept.parent.with_name("notes.txt")
+    notes.write_text("mine")
     heard = []
     demos = record_demonstrations("pursuit", output=file, on_race=heard.append, **how)
+    assert [*notes.parent.iterdir()] == [notes]  # the user's file stays
     assert [progress.done for progress in heard] == [1, 2]
     assert not kept.exists()  # its episodes are in the dataset
     np.testing.assert_array_equal(demos.columns["controls"], driven[1].columns["controls"])

@@ -1,7 +1,9 @@
 """The report of a tournament: a page and tables that are safe to publish."""
 
 import csv
+import io
 import json
+import shutil
 from html.parser import HTMLParser
 
 import pytest
@@ -10,6 +12,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import run_tournament, write_report
 from stkzoo.evaluation.tournament.film import FilmRecorder
+from stkzoo.evaluation.tournament.report import _csv
 from stkzoo.race import run_race
 from stkzoo.race.replay import load_replay
 from tests.support.remote_race import write_agent
@@ -54,6 +57,52 @@ def cup(tmp_path_factory):
     )
     write_report(home / "cup", publish=home / "public", title="Course <1>")
     return home
+
+
+FULL_WIDTH = (
+    "\uff1d1",
+    "\uff0b1",
+    "\uff0d1",
+    "\uff20A1",
+    "\ufe621",
+    "\ufe631",
+    "\ufe6bA1",
+    "\u207a1",
+)
+
+
+@pytest.mark.parametrize(
+    "text", ["=1", "+1", "-1", "@A1", "\t=1", "\r=1", "\n=1", " =1", "\u3000=1", *FULL_WIDTH]
+)
+def test_a_spreadsheet_runs_no_text_as_a_formula(text):
+    rows = csv.reader(io.StringIO(_csv([[text, -1.5], ["b\r=1", "c\n=1"]]), newline=""))
+    assert [*rows] == [[f"'{text.strip()}", "-1.5"], ["b =1", "c =1"]]
+
+
+@pytest.mark.slow
+def test_the_folder_of_somebody_else_changes_none_of_your_files(cup, tmp_path, capsys):
+    received, profile = tmp_path / "received", tmp_path / "profile"
+    shutil.copytree(cup / "cup", received)
+    outputs = [received / n for n in ("standings.csv", "report.html", "result.json", "lock")]
+    for words in (["report"], ["tournament", "--resume"]):
+        profile.write_text("mine")
+        for file in outputs[: 2 if words == ["report"] else None]:
+            file.unlink()
+            file.symlink_to(profile)
+        (received / "races.csv").unlink()
+        (received / "races.csv").symlink_to(tmp_path / "new")
+        assert main([*words, str(received)]) in (0, 3)  # 3: an agent failed
+        assert not [file for file in received.rglob("*") if file.is_symlink()]
+    for name in ("replays", "films", "races"):
+        (received / name).rename(tmp_path / name)
+        (received / name).symlink_to(tmp_path / name)
+        (tmp_path / name / ".stkzoo-notes.part").write_text("mine")
+        assert main(["tournament", "--resume", str(received)]) == 2
+        assert f"{name} is a link to a folder" in capsys.readouterr().err
+        assert (tmp_path / name / ".stkzoo-notes.part").exists()
+        (received / name).unlink()
+    assert profile.read_text() == "mine"
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.slow

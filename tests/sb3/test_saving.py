@@ -38,7 +38,12 @@ def make():
 )
 def test_the_agent_acts_as_the_policy_does(view, activation, make, tmp_path):
     model = make(view, policy_kwargs={"activation_fn": activation, "net_arch": [16, 16]})
-    folder = save_agent(model, tmp_path / "agent", view=view, name="A 'quoted' name")
+    (tmp_path / "pystk_actor.py").write_text("# my work")
+    with pytest.raises(ConfigError, match=r"pystk_actor.py is not from this function; move it"):
+        save_agent(model, tmp_path, view=view, name="A name")
+    assert [path.name for path in tmp_path.iterdir()] == ["pystk_actor.py"]
+    for name in ("A name", "A 'quoted' name"):  # a saved agent can be replaced
+        folder = save_agent(model, tmp_path / "agent", view=view, name=name)
     module = runpy.run_path(f"{folder}/pystk_actor.py")
     assert module["player_name"] == "A 'quoted' name"
     act = module["get_actor"](Path(folder), model.observation_space, model.action_space)

@@ -79,6 +79,18 @@ def test_lines_can_be_added_after_an_incomplete_one(count, tmp_path):
     assert [line.iteration for line in before] == list(range(1, count + 1))
 
 
+@pytest.mark.parametrize("make_link", [Path.symlink_to, Path.hardlink_to])
+def test_lines_are_not_added_to_a_file_that_a_link_names(make_link, tmp_path):
+    users, log = tmp_path / "mine", tmp_path / LOG
+    users.write_text('{"iteration": 1}\n{"iter')
+    make_link(log, users)
+    assert continue_json_lines(log, Line) == [Line(1)]
+    with log.open("a") as file:
+        file.write('{"iteration": 2}\n')
+    assert users.read_text() == '{"iteration": 1}\n{"iter'
+    assert continue_json_lines(log, Line) == [Line(1), Line(2)]
+
+
 def test_figures_that_are_not_finite_are_logged_as_null(tmp_path):
     with TrainingLog(tmp_path, 0) as log:
         log.write({"iteration": 1, "kart_steps": 10, "kl": float("nan"), "loss": float("-inf")})

@@ -8,6 +8,7 @@ from typing import Any
 
 from stkzoo._arguments import CommandParser, add_options, values_of
 from stkzoo._imports import import_extra
+from stkzoo._os import sentence_of
 from stkzoo.errors import StkzooError
 
 
@@ -45,8 +46,8 @@ def run_command(
     values = command_parser(module, description, kinds).parse_args(words)
     try:
         run(*(options(**values_of(values, options)) for options in kinds))
-    except StkzooError as error:
-        print(f"error: {error}", file=sys.stderr)
+    except (StkzooError, OSError) as error:
+        print(f"error: {sentence_of(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted" + (if_interrupted and f"; {if_interrupted}"), file=sys.stderr)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import io
 import json
+import os
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
@@ -229,7 +230,7 @@ def load_checkpoint(folder: Path, facts_type: type[T]) -> tuple[T, dict[str, Any
         ConfigError: the checkpoint is damaged.
     """
     file = folder / CHECKPOINT
-    if not file.exists():
+    if not os.path.lexists(file):
         return None
     with reading_checkpoint(folder):
         with open_zip(file, 100_000, _MAX_CHECKPOINT):
@@ -259,7 +260,7 @@ def read_json_lines(file: Path, line_type: type[T]) -> list[T]:
     Raises:
         ConfigError: the file is damaged.
     """
-    if not file.exists():
+    if not os.path.lexists(file):
         return []
     with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
         return read_lines(file, line_type, _MAX_BYTES)
@@ -268,13 +269,14 @@ def read_json_lines(file: Path, line_type: type[T]) -> list[T]:
 def continue_json_lines(file: Path, line_type: type[T]) -> list[T]:
     """Returns the lines of a JSON lines file to which a continued run appends.
 
-    An incomplete last line is removed from the file, so that the next line does not continue it.
+    An incomplete last line is removed from the file, so that the next line does not continue it. If
+    the file is a link, a copy replaces it, so that the file that it names stays as it is.
     See :func:`read_json_lines` for the arguments and errors.
     """
     lines = read_json_lines(file, line_type)
     if file.exists():
-        with file.open("r+b") as stream:
-            stream.truncate(stream.read().rfind(b"\n") + 1)
+        text = file.read_text("utf-8", "ignore")
+        write_text(file, text[: text.rfind("\n") + 1])
     return lines
 
 

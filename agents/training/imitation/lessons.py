@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo._locks import locked_folder
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo._reading import reading
 from stkzoo._schema import Level
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
@@ -173,7 +173,7 @@ def run_rounds(
         log[-1] |= {"examples": len(lessons.actions), **asdict(result), **figures}
         write_log(folder, log)
     write_log(folder, log)
-    with atomic_write(folder / _POLICY) as part:
+    with write_whole(folder / _POLICY, "the policy") as part:
         shutil.copyfile(_policy(folder, arguments.rounds), part)
     export_policy(folder / _POLICY, "student", folder / "agent")
     return log

@@ -19,6 +19,7 @@ stkzoo.agents.training.export`` converts to agents) and a run folder per player.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -152,7 +153,7 @@ class League:
         self._members = self.folder / _MEMBERS
         with using_folder(self.folder, "league"):
             self._members.mkdir(parents=True, exist_ok=True)
-        if (self.folder / LEAGUE).exists():
+        if os.path.lexists(self.folder / LEAGUE):
             self._state = read_run_file(_LeagueState, self.folder / LEAGUE)
             check_resumed(self.folder, self._state.arguments, asdict(arguments))
             return

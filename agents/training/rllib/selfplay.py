@@ -21,7 +21,6 @@ continue a run, also after a kill, run the same command again, perhaps with more
 
 from __future__ import annotations
 
-import shutil
 import sys
 import tempfile
 import time
@@ -34,6 +33,7 @@ import numpy as np
 
 from stkzoo._imports import import_extra
 from stkzoo._locks import locked_folder
+from stkzoo._temporary import make_marked_folder, remove_stale_folders, remove_tree
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.engine.assets import find_assets, pack
 from stkzoo.errors import ConfigError
@@ -44,8 +44,10 @@ from ..common.run_folder import TrainingLog, keep_arguments
 from .races import ARGUMENTS, MAIN, PACK, RLlibArguments, sb3_names
 
 _POLICY = "policy.safetensors"
-#: Name of a checkpoint, with the number of iterations, and its suffix while it is written.
-_CHECKPOINT, _PART = "checkpoint-{:06}", ".part"
+#: Name of a checkpoint, with the number of iterations; folders with other names are the user's.
+_CHECKPOINT, _CHECKPOINTS = "checkpoint-{:06}", f"checkpoint-{'[0-9]' * 6}"
+#: Start of the name of the folder of a checkpoint while it is written.
+_UNFINISHED = ".checkpoint-"
 #: Arguments that may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every")
 
@@ -182,7 +184,7 @@ def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
 
 def _checkpoints(folder: Path) -> list[Path]:
     """Returns the complete checkpoints, the newest last."""
-    return sorted(path for path in folder.glob("checkpoint-*") if path.suffix != _PART)
+    return sorted(folder.glob(_CHECKPOINTS))
 
 
 def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None:
@@ -226,14 +228,13 @@ def _save(algorithm: Any, folder: Path) -> None:
         lambda learner: {k: v.cpu().numpy() for k, v in learner.module[MAIN].state_dict().items()}
     )
     save_weights(folder / _POLICY, sb3_names(next(r.get() for r in state)))
-    before = list(folder.glob("checkpoint-*"))
-    target = folder / _CHECKPOINT.format(algorithm.iteration)
-    part = target.with_suffix(_PART)
-    shutil.rmtree(part, ignore_errors=True)
-    algorithm.save_to_path(str(part.resolve()))
-    part.rename(target)
-    for old in before:
-        shutil.rmtree(old, ignore_errors=True)
+    before = _checkpoints(folder)
+    remove_stale_folders(folder, _UNFINISHED)
+    marked = make_marked_folder(folder, _UNFINISHED)
+    algorithm.save_to_path(str((marked / "checkpoint").resolve()))
+    (marked / "checkpoint").rename(folder / _CHECKPOINT.format(algorithm.iteration))
+    for old in (*before, marked):
+        remove_tree(old)
 
 
 def main(words: list[str] | None = None) -> int:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stkzoo._locks import try_lock
+from stkzoo._locks import open_lock, try_lock
+from stkzoo._temporary import make_marked_folder, remove_marked, remove_stale_folders
 from stkzoo.engine.assets.tree import MARKER
 from stkzoo.errors import AssetError
 
@@ -57,14 +57,13 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
         OSError: the cache is not writable.
     """
     cache.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(cache / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    descriptor = open_lock(cache / _LOCK)
     try:
         if not try_lock(descriptor):
             progress.note("another stkzoo uses the same cache: waiting for it to end")
             while not try_lock(descriptor):
                 time.sleep(_LOCK_POLL)
-        for folder in cache.glob(f"{_PREFIX}*-*"):
-            shutil.rmtree(folder, ignore_errors=True)
+        remove_stale_folders(cache, _PREFIX)
         yield
     finally:
         os.close(descriptor)
@@ -74,19 +73,21 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
 def fresh_folder(parent: Path, purpose: str = "staging") -> Iterator[Path]:
     """Creates a temporary folder and removes it at the end, unless :func:`publish` moved it.
 
-    The folder's name marks it as unfinished.
+    It is in a folder with stkzoo's mark, which :func:`lock` removes if this program is killed.
 
     Args:
         parent: the folder in which to create it.
         purpose: part of its name.
     """
     parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{purpose}-", dir=parent))
-    folder.chmod(0o755)
+    marked = make_marked_folder(parent, f"{_PREFIX}{purpose}-")
     try:
+        folder = marked / "tree"
+        folder.mkdir()
+        folder.chmod(0o755)
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_marked(marked)
 
 
 def publish(staging: Path, target: Path) -> None:

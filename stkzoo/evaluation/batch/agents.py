@@ -14,9 +14,8 @@ from typing import Annotated
 from msgspec import Meta
 
 from stkzoo._os import read_blocks
-from stkzoo._schema import plain_text
+from stkzoo._schema import distinct_name, plain_name, plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
-from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
     MAX_BYTES,
@@ -32,7 +31,7 @@ from stkzoo.race.settings import RaceSettings
 #: Separator between a driver's source and its name.
 NAME_MARK = "@:"
 _MOST_FILES = 1000
-_MOST_CHARACTERS = 40
+_MOST_CHARACTERS = 28  # with a number at most 32
 _DIGEST_SIZE = 8
 #: Folders and files that change when an agent runs, or is committed or looked at.
 _IGNORED = ("__pycache__", ".git", ".hg", ".svn", ".DS_Store")
@@ -89,7 +88,7 @@ def find_agents(
     """Finds agents and gives each a unique label.
 
     The label is the name after ``@:``. Without one, it is the agent's ``player_name``; without
-    that, the name of its file. If a label is already used, a number is appended: ``Ada-2``.
+    that, the name of its file. If it looks like another label, a number is appended: ``Ada-2``.
 
     Args:
         agents: texts for :func:`~stkzoo.race.find_driver`.
@@ -168,16 +167,14 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
     Raises:
         ConfigError: the label is fixed and already used.
     """
-    label = name = _plain(name)
-    if is_fixed and label in taken:
+    name = _plain(name)
+    label = distinct_name(name, taken)
+    if is_fixed and label != name:
+        called = repr(name) if name in taken else f"{name!r}, which looks like another name"
         raise ConfigError(
-            f"two agents are called {label!r}; give each a different name, such as "
-            f"{text.partition(NAME_MARK)[0]}@:{label}-2"
+            f"two agents are called {called}; give each a different name, such as "
+            f"{text.partition(NAME_MARK)[0]}@:{label}"
         )
-    for number in itertools.count(2):
-        if label not in taken:
-            break
-        label = f"{name}-{number}"
     return label
 
 
@@ -188,9 +185,8 @@ def _name_of(text: str, driver: Driver) -> str:
 
 
 def _plain(name: str) -> str:
-    """Returns a name as a label: one printable line of limited length."""
-    name = " ".join(printable(name).replace(NAME_MARK, " ").split())
-    return name[:_MOST_CHARACTERS].strip() or "unnamed"
+    """Returns a name as a label."""
+    return plain_name(plain_name(name).replace(NAME_MARK, " "), _MOST_CHARACTERS) or "unnamed"
 
 
 def _lasting(source: str) -> str:

@@ -109,7 +109,7 @@ def find_plan(plan_type: type[Plan], path: str | os.PathLike[str]) -> Plan | Non
         ConfigError: the plan is damaged or of another kind.
     """
     file = Path(path) / PLAN_FILE
-    return plan_type.load(file) if file.exists() else None
+    return plan_type.load(file) if os.path.lexists(file) else None
 
 
 def result_file(path: str | os.PathLike[str]) -> Path:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -18,12 +18,15 @@ from typing import Annotated, Any, ClassVar
 from msgspec import Meta
 
 from stkzoo._checks import check_whole
+from stkzoo._locks import LOCK
 from stkzoo._schema import Count
+from stkzoo._temporary import remove_tree
 from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.batch.agents import BatchAgent, check_level, find_agents
-from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.batch.order import RACES, RaceOrder
 from stkzoo.evaluation.batch.plan import (
+    PLAN_FILE,
     BatchPlan,
     batch_settings,
     check_directions,
@@ -279,5 +282,9 @@ def run_planned_demonstrations(
         return demos
     parts = target.with_name(target.name + _PARTS)
     demos = DEMONSTRATIONS.run(plan, parts, options)
-    shutil.rmtree(parts, ignore_errors=True)
+    remove_tree(parts / RACES)
+    with suppress(OSError):  # the user may have put files there, which stay
+        for name in (PLAN_FILE, LOCK):
+            (parts / name).unlink(missing_ok=True)
+        parts.rmdir()
     return demos

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ _FILMS = 6
 _MAX_TRACE = 4000  # characters
 _KINDS = {"start": "could not be loaded", "timeout": "took too long", "error": "raised an error"}
 #: Prefixes with which a spreadsheet interprets a cell as a formula.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA = ("=", "+", "-", "@")
 
 
 @dataclass(frozen=True)
@@ -163,5 +164,11 @@ def _csv(rows: Iterable[Sequence[object]]) -> str:
 
 
 def _cells(row: Sequence[object]) -> list[object]:
-    """Returns a row in which a quote precedes texts that a spreadsheet would run as formulas."""
-    return [f"'{v}" if isinstance(v, str) and v.startswith(_FORMULA) else v for v in row]
+    """Returns a row whose texts are one line each, and none of them a formula."""
+    return [_cell(value) if isinstance(value, str) else value for value in row]
+
+
+def _cell(text: str) -> str:
+    """Returns a text after a quote if a spreadsheet would run it as a formula."""
+    line = " ".join(text.split())  # some programs begin a row after a carriage return
+    return f"'{line}" if unicodedata.normalize("NFKC", line[:1]).startswith(_FORMULA) else line

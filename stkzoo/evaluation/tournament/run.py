@@ -183,7 +183,7 @@ def write_report(
     if not races:
         raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
     page = home / REPORT_FILE if publish is None else Path(publish, "index.html")
-    if publish is not None and page.parent.resolve() == home.resolve():
+    if publish is not None and os.path.realpath(page.parent) == os.path.realpath(home):
         raise ConfigError(
             f"the public report would replace the tables of the tournament in {home}; choose "
             "another folder to publish"

@@ -15,7 +15,7 @@ from typing import Any
 
 from stkzoo._checks import check_number, shortened
 from stkzoo._reading import is_there, read_text, reading
-from stkzoo._schema import Count
+from stkzoo._schema import Count, plain_name
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest
@@ -66,7 +66,7 @@ class ServedAgent:
             cls(
                 server,
                 number,
-                printable(offer.name),
+                plain_name(offer.name),
                 printable(offer.source, MAX_NAME),
                 tuple(sorted(set(offer.extras))),
             )
@@ -219,9 +219,9 @@ class RemoteAgent:
         outcome = opened.outcome
         if isinstance(outcome, Failed):
             self.is_usable = False
-            raise outcome.error(self._agent)
+            raise outcome.error(self._agent, server=server.address)
         self._paths = outcome.paths_used
-        return printable(outcome.name)
+        return outcome.name
 
     def ask(self, observation: Any) -> None:
         """Sends the observation."""
@@ -235,7 +235,7 @@ class RemoteAgent:
         outcome, seconds = acted.outcome, self._connection.seconds
         if isinstance(outcome, Failed):
             self.is_usable = acted.is_usable
-            raise outcome.error(self._agent, seconds)
+            raise outcome.error(self._agent, seconds, self._served.server.address)
         return outcome.decision(seconds)
 
     def close(self) -> None:

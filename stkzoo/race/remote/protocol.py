@@ -34,6 +34,7 @@ _MAX_OFFERS, _MAX_OBSERVATION = 1000, 1 << 20
 
 Extra: TypeAlias = Annotated[str, Meta(pattern=rf"^({'|'.join(EXTRAS)})\Z")]
 Extras: TypeAlias = Annotated[list[Extra], Meta(max_length=len(EXTRAS))]
+_Version: TypeAlias = Annotated[int, Meta(ge=0, le=10_000)]
 Seconds: TypeAlias = Annotated[float, Meta(gt=0, lt=1e9)]
 
 # ---------------------------------------------------------------------- from the client
@@ -42,7 +43,7 @@ Seconds: TypeAlias = Annotated[float, Meta(gt=0, lt=1e9)]
 class Hello(Message):
     """The first message."""
 
-    protocol: int
+    protocol: _Version
     stkzoo: Name
 
 
@@ -84,7 +85,7 @@ class Offer(Struct, frozen=True, forbid_unknown_fields=True):
 class Welcome(Message):
     """The reply to a hello."""
 
-    protocol: int
+    protocol: _Version
     stkzoo: Name
     agents: Annotated[list[Offer], Meta(min_length=1, max_length=_MAX_OFFERS)]
 

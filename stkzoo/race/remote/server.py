@@ -13,10 +13,11 @@ from typing import Any
 
 from stkzoo._checks import check_whole
 from stkzoo._logs import RepeatFilter
+from stkzoo._schema import plain_name
 from stkzoo.drivers.driver import Driver, declared_name
 from stkzoo.drivers.failures import MAX_TEXT, printable
 from stkzoo.drivers.instances import DriverLimits
-from stkzoo.drivers.messages import MAX_NAME, Message, encode
+from stkzoo.drivers.messages import Message, encode
 from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.remote import protocol, sockets
 from stkzoo.race.remote.session import AgentSession
@@ -246,7 +247,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 def _offer(driver: Driver) -> protocol.Offer:
     name = driver.name or declared_name(driver.source)
     return protocol.Offer(
-        printable(name, MAX_NAME), printable(driver.source, MAX_TEXT), sorted(driver.extras)
+        plain_name(name), printable(driver.source, MAX_TEXT), sorted(driver.extras)
     )
 
 

@@ -21,7 +21,7 @@ from stkzoo._imports import import_extra
 from stkzoo._logs import RepeatFilter
 from stkzoo._os import is_loopback, max_descriptors, write_whole
 from stkzoo._reading import is_there, read_text, reading
-from stkzoo._schema import plain_text
+from stkzoo._schema import plain_name, plain_text
 from stkzoo.drivers.messages import MAX_BYTES
 from stkzoo.errors import ConfigError, RemoteError
 
@@ -409,7 +409,7 @@ def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
         else:
             files = [path]
         lines = (line for file in files for line in _lines_of(file) if line[0] == "public")
-        named = {key: " ".join(name) for _, key, *name in lines}
+        named = {key: plain_name(" ".join(name)) for _, key, *name in lines}
         if not named:
             raise ConfigError(f"no public key in {source}; make one with: stkzoo keys new NAME")
         keys |= named

@@ -9,13 +9,14 @@ import re
 import secrets
 import socket
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from aiohttp import web
+from multidict import MultiMapping
 
 from stkzoo._logs import RepeatFilter
 from stkzoo._os import ip_address_of, is_loopback, max_descriptors
@@ -89,20 +90,22 @@ class RequestGuard:
         self._host = host.lower()
         self.key = "" if is_loopback(host) else _key_of(self._host, port)
 
-    def check(self, headers: Mapping[str, str]) -> None:
+    def check(self, headers: MultiMapping[str]) -> None:
         """Rejects requests that do not come from this page.
 
         Raises:
             HTTPForbidden: ``Host`` is neither an IP address nor ``localhost`` nor the page's name,
                 or ``Origin`` is another site.
         """
-        host, origin = headers.get("Host", ""), headers.get("Origin")
+        host = ",".join(headers.getall("Host", []))  # two headers are no host
+        origin = ",".join(headers.getall("Origin", ["none"]))
         match = _AUTHORITY.fullmatch(host.lower())
         name = match["name"].strip("[]") if match else ""
-        if name not in ("localhost", self._host) and ip_address_of(name) is None:
+        is_ours = name in ("localhost", self._host) or ip_address_of(name) is not None
+        if not name or not is_ours:
             raise web.HTTPForbidden(text="unknown host name; open the page by its IP address\n")
         # Other programs than browsers send no Origin, and could forge it.
-        if origin is not None and origin.lower() != f"http://{host.lower()}":
+        if origin != "none" and origin.lower() != f"http://{host.lower()}":
             raise web.HTTPForbidden(text="the page accepts requests from itself only\n")
 
     def may_steer(self, key: str) -> bool:

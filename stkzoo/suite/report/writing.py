@@ -231,7 +231,7 @@ def write_suite_report(
             ``output`` is one of the folders of results.
     """
     places, folder = tuple(map(Path, paths)), Path(output)
-    if folder.resolve() in [place.resolve() for place in places]:
+    if os.path.realpath(folder) in map(os.path.realpath, places):
         raise ConfigError(
             f"{folder} has the results, and the next report would read this one as a result; "
             "choose another --output, such as a folder in it"

@@ -211,6 +211,11 @@ LIES = {
     "silence": (lambda message: lies()(message) if isinstance(message, Open) else [], "in time"),
     "a bomb": (lies(b"\x81\xa4type" + b"\x91" * 1_000_000), "not a valid message"),
     "a long error": (lies(answer(failed("y" * 1_000_000))), "length <= 8000"),
+    "an error of its agent": (lies(answer(failed("no fuel"))), ": no fuel"),
+    "too many paths": (
+        lambda _: [pack(type="opened", outcome={"type": "ready", "name": "", "paths_used": 2**61})],
+        "Expected `int` <= 8192",
+    ),
     "it sends the game's keys": (lies(encode(Refused("\x1b[2J" + "a" * 7000))), ": aaaa"),
 }
 
@@ -225,7 +230,9 @@ def test_a_lying_server_affects_only_its_own_kart(name):
     ):
         result = run_race([*group.drivers, "heuristic"], max_steps=6, **TRACK)
     rows = {row.agent: row for row in result.agents}
-    assert text in rows["kart_0"].errors[0].message
+    message = rows["kart_0"].errors[0].message
+    assert text in message
+    assert message.startswith(liar.address) or f" {liar.address} " in message
     assert not rows["kart_1"].errors
     assert cost["memory"] < 200 << 20
     assert len(result.to_json()) < 50_000

@@ -12,6 +12,8 @@ from types import SimpleNamespace
 import aiohttp
 import numpy as np
 import pytest
+from aiohttp import web
+from multidict import CIMultiDict
 
 from stkzoo._installation import install_command
 from stkzoo.cli import main
@@ -20,6 +22,7 @@ from stkzoo.race import RaceResult, run_race
 from stkzoo.race.web import SPEEDS, LivePage
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.messages import COLUMNS, TraceLog, encoded, plain
+from stkzoo.race.web.server import RequestGuard
 from tests.support.floods import upgrade_request
 from tests.support.processes import run_program, wait_until
 from tests.support.web_race import WatchedRace, viewer
@@ -307,6 +310,31 @@ def test_requests_from_other_sites_are_refused(page, headers, text, path):
         urllib.request.urlopen(request, timeout=10)
     with caught.value as answer:
         assert text in answer.read().decode()
+
+
+@pytest.mark.parametrize("served", ["127.0.0.1", "::1", "mylab", ""])
+def test_the_host_is_compared_as_a_whole(served):
+    guard = RequestGuard(served, 8000)
+    own = f"[{served}]" if ":" in served else served or "localhost"
+    for host in (own, f"{own}:8000", "LOCALHOST", "localhost:9", "[::1]:80", "[::ffff:7f00:1]"):
+        guard.check(CIMultiDict(Host=host))
+    strange = ("", ":80", "@", "[]", "::1", "evil", "localhost.evil", "evil.localhost", "mylab.")
+    parts = ("localhost@evil", "evil@localhost", "localhost:80@evil", "evil#localhost")
+    lists = ("localhost,evil", "localhost, evil", "evil localhost", "127.0.0.1/evil", "127.1")
+    ports = ("localhost:", "localhost:80:80", "localhost:x", "[::1]x", "[::1", "localhost:123456")
+    digits = ("localhost\n", "\uff11\uff12\uff17.0.0.1", "127.0.0.1.", "0x7f.1", "[::1%25lo]")
+    for host in (*strange, *parts, *lists, *ports, *digits):
+        with pytest.raises(web.HTTPForbidden):
+            guard.check(CIMultiDict(Host=host))
+
+
+@pytest.mark.parametrize("second", ["Host: evil", "Host: 127.0.0.1", "Origin: http://evil"])
+def test_a_request_with_two_hosts_is_refused(page, second):
+    own = "Host: 127.0.0.1\r\nOrigin: http://127.0.0.1"
+    request = f"GET / HTTP/1.1\r\n{own}\r\n{second}\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", page.port), 10) as connection:
+        connection.sendall(request.encode())
+        assert b" 40" in connection.recv(100)[8:12]
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
