@@ -213,7 +213,8 @@ class RaceVecEnv(VecEnv):
     def _first_info(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
         """Returns the info of a slot after a reset."""
         track = self.races.tracks[steps.tracks[slot]]
-        return SlotInfo(steps.infos, slot, {"track": track}).copy()
+        is_racing = bool(steps.infos.keys_of(slot))
+        return SlotInfo(steps.infos, slot, {"track": track, "active": is_racing}).copy()
 
     def _ended(self, steps: SlotSteps, slot: int, track: str) -> dict[str, Any]:
         """Returns the info of a slot whose episode ended in this step, or which is idle."""
