@@ -4,7 +4,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.vector import VectorEnv
 from pettingzoo import AECEnv, ParallelEnv
+from stable_baselines3.common.vec_env import VecEnv
 
 import stkzoo
 from stkzoo import ConfigError, EndReason, EngineError, Start, race_v0
@@ -54,8 +56,8 @@ OF_ENVIRONMENTS = {
 }
 
 
-def of_id(name, **fixed):
-    return lambda **options: gym.make(f"supertuxkart/{name}-v0", **fixed, **options)
+def of_id(name):
+    return lambda **options: gym.make(f"supertuxkart/{name}-v0", **options)
 
 
 def of_vector(mode):
@@ -72,7 +74,7 @@ def of_reference(**options):
 
 
 def adapted(**options):
-    return stkzoo.MonoAgentWrapperAdapter(of_id("multi-full", agents=2)(**options), {})
+    return stkzoo.MonoAgentWrapperAdapter(of_id("multi-full")(**{"agents": 2, **options}), {})
 
 
 FRONTS = {
@@ -233,3 +235,18 @@ def test_slots_of_vectors_have_the_same_keys_from_reset_on():
         kept |= {tuple(sorted(info)) for i, info in enumerate(infos) if not dones[i]}
     envs.close()
     assert len(kept) == 1
+
+
+@pytest.mark.parametrize("make", FRONTS.values(), ids=FRONTS)
+def test_an_unknown_argument_is_the_error_that_libraries_expect(make):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as raised:
+        make(frameskip=4)
+    assert isinstance(raised.value, ConfigError)
+
+
+def test_vector_environments_have_all_attributes_of_the_libraries_classes():
+    slots = RaceVecEnv(1, **BASE)
+    for envs, parent in ((slots.races, VectorEnv), (slots, VecEnv)):
+        assert [name for name in dir(parent) if not hasattr(envs, name)] == []
+    assert slots.races.autoreset_mode == slots.races.metadata["autoreset_mode"]
+    slots.close()
