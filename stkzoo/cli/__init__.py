@@ -22,6 +22,7 @@ import argparse
 import ast
 import inspect
 import io
+import os
 import pkgutil
 import sys
 import types
@@ -150,6 +151,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         after SIGTERM and 129 after SIGHUP. Some commands return further codes.
     """
     words = sys.argv[1:] if argv is None else list(argv)
+    if sys.stdout is None:  # closed, as by `>&-`
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - used until the program ends
     if isinstance(sys.stdout, io.TextIOWrapper):  # let it print any text
         sys.stdout.reconfigure(errors="backslashreplace")
     try:

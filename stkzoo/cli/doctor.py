@@ -35,7 +35,7 @@ from stkzoo.cli._console import JsonArguments, say, show, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import CACHE_VARIABLE, DATADIR_VARIABLE, cache_folder, find_assets
 from stkzoo.engine.fork_client import can_fork
-from stkzoo.engine.process import engine_environment
+from stkzoo.engine.process import engine_environment, explain_os_errors
 from stkzoo.engine.render_session import GRAPHICS_PACKAGES, missing_graphics_libraries
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.render.encoder import find_ffmpeg
@@ -152,7 +152,7 @@ def _diagnose() -> Iterator[dict[str, Any]]:
         except NotFound as error:
             finding |= {"ok": False, "found": str(error), "remedy": error.remedy or remedy}
         except Exception as error:  # noqa: BLE001 - one failure must not hide the other findings
-            finding |= {"ok": False, "found": f"{type(error).__name__}: {error}", "remedy": remedy}
+            finding |= {"ok": False, "found": f"{type(error).__name__}: {error}"}
         yield finding
 
 
@@ -172,7 +172,7 @@ def _race_data() -> str:
 
 def _start() -> str:
     assets = find_assets()
-    with TemporaryFolder("doctor") as home:
+    with explain_os_errors(), TemporaryFolder("doctor") as home:
         lines = _probe(_PROBE, engine_environment(assets.root, str(home.path)))
     tracks = {name for line in lines if line.startswith("tracks:") for name in line.split()[1:]}
     if tracks != {*assets.tracks}:

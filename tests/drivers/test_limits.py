@@ -41,19 +41,21 @@ def test_agents_race_under_hard_limits_below_those_of_agents(sandbox):
     assert "could not be loaded" not in done.stdout + done.stderr
 
 
+RACE = ("race", AGENT, "ai", "--track", "lighthouse")
+NO_FILES, FEW_FILES = {"RLIMIT_FSIZE": 0}, {"RLIMIT_NOFILE": 12}
+
+
 @pytest.mark.parametrize(
-    ("limits", "expected"),
+    ("limits", "words", "expected"),
     [
-        ({"RLIMIT_FSIZE": 0}, "set TMPDIR to a folder that exists, is writable and has room"),
-        (
-            {"RLIMIT_NOFILE": 12},
-            "alpha (kart_0) could not be loaded: [Errno 24] Too many open files",
-        ),
+        (NO_FILES, RACE, "set TMPDIR to a folder that exists, is writable and has room"),
+        (NO_FILES, ["doctor"], "set TMPDIR to a folder that exists, is writable and has room"),
+        (FEW_FILES, RACE, "alpha (kart_0) could not be loaded: [Errno 24] Too many open files"),
     ],
 )
-def test_a_limit_that_is_too_low_is_one_error(limits, expected):
-    words = ["race", AGENT, "ai", "--track", "lighthouse"]
-    done = run_limited(f"import sys; from stkzoo.cli import main; sys.exit(main({words}))", limits)
+def test_a_limit_that_is_too_low_is_one_error(limits, words, expected):
+    code = f"import sys; from stkzoo.cli import main; sys.exit(main({[*words]}))"
+    done = run_limited(code, limits, COLUMNS="500")
     assert done.returncode in (1, 3)
-    assert expected in done.stderr
+    assert expected in done.stdout + done.stderr
     assert "Traceback" not in done.stderr
