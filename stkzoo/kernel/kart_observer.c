@@ -350,15 +350,18 @@ static PyObject *number_rows(const Scene *scene, Entry *entry)
 }
 
 /* Returns the items' types as a tuple of NumPy's numbers. */
-static PyObject *choice_rows(const Scene *scene, const Key *key)
+static PyObject *choice_rows(const Scene *scene)
 {
-    npy_intp rows = scene->real[ITEMS];
-    PyObject *array = PyArray_SimpleNew(1, &rows, NPY_INT64);
-    if (!array) return NULL;
-    npy_int64 *choices = PyArray_DATA((PyArrayObject *)array);
-    for (npy_intp i = 0; i < rows; i++) choices[i] = choice_at(scene, key, i);
-    PyObject *tuple = PySequence_Tuple(array);
-    Py_DECREF(array);
+    const npy_intp rows = scene->real[ITEMS];
+    PyArray_Descr *type = PyArray_DescrFromType(NPY_INT64);
+    PyObject *tuple = PyTuple_New(rows);
+    for (npy_intp i = 0; tuple && i < rows; i++) {
+        npy_int64 value = item_type(scene, i);
+        PyObject *scalar = PyArray_Scalar(&value, type, NULL);
+        if (!scalar) Py_CLEAR(tuple);
+        else PyTuple_SET_ITEM(tuple, i, scalar);
+    }
+    Py_DECREF(type);
     return tuple;
 }
 
@@ -371,7 +374,7 @@ static PyObject *value_of(const Scene *scene, Entry *entry)
         return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->snapshot.karts));
     }
     if (key->group != OWN) {
-        return key->kind == CHOICE ? choice_rows(scene, key) : number_rows(scene, entry);
+        return key->kind == CHOICE ? choice_rows(scene) : number_rows(scene, entry);
     }
     if (key->kind == CHOICE) return PyLong_FromLongLong(choice_of(scene, key));
     PyObject *array = PyArray_SimpleNew(1, &width, NPY_FLOAT32);
@@ -400,8 +403,11 @@ static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
     const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
     const npy_bool *nitro = scene->nitro.data, *fire = scene->fire.data;
     const int no_nitro = !(scene->me->energy > 0), no_powerup = scene->me->powerup_type == 0;
-    for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
-    for (npy_intp i = 0; key->group == ACTIONS && i < rows; i++) {
+    if (key->group != ACTIONS) {
+        for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
+        return;
+    }
+    for (npy_intp i = 0; i < rows; i++) {
         out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
     }
 }
