@@ -13,3 +13,7 @@ A driver is a package with
 
 These packages use only interfaces that are available to your own drivers.
 """
+
+from stkzoo._imports import lazy_names
+
+__getattr__ = lazy_names(__name__)

@@ -76,6 +76,7 @@ __all__ = [
 ]
 __all__ += errors.__all__
 __all__ += names.__all__
+__dir__ = __all__.copy
 
 _HOMES = {
     "stkzoo.drivers": ("OpponentPool",),

@@ -8,15 +8,16 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Hashable, Iterable
+import re
+from collections.abc import Collection, Hashable, Iterable
 from typing import Any, TypeVar
 
 from stkzoo.errors import MAX_LINE, ArgumentNameError, ConfigError
 
 Kind = TypeVar("Kind", bound=type)
 
-#: Maximum number of elements of an array that :func:`shortened` shows.
-_MAX_SHOWN = 1000
+#: Least similarity of a name that an error suggests, and least length of a part of one.
+_NEAR, _MIN_PART = 0.75, 3
 
 
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:
@@ -93,15 +94,33 @@ def check_flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def unknown_name(noun: str, name: object, known: Iterable[str]) -> ConfigError:
-    """Returns the error for an unknown name. It suggests the nearest valid name or lists all.
+def check_name(noun: str, name: object, known: Collection[str], owner: str = "") -> str:
+    """Checks that a name is valid, and returns it.
+
+    Args:
+        noun: see :func:`unknown_name`, as for the other arguments.
+        name: the name.
+        known: the valid names.
+        owner: what has the name.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    if not isinstance(name, str) or name not in known:
+        raise unknown_name(noun, name, known, owner)
+    return name
+
+
+def unknown_name(noun: str, name: object, known: Iterable[str], owner: str = "") -> ConfigError:
+    """Returns the error for an unknown name. It suggests a valid name that is near, or lists all.
 
     Args:
         noun: what the name identifies, such as ``"track"``.
         name: the unknown name.
         known: the valid names.
+        owner: what has the name, such as ``" of the simple view"``.
     """
-    return ConfigError(_with_names(f"unknown {noun} {shortened(name)}", name, known))
+    return ConfigError(_with_names(f"unknown {noun} {shortened(name)}{owner}", name, known))
 
 
 def unknown_argument(name: str, known: Iterable[str]) -> ArgumentNameError:
@@ -117,13 +136,30 @@ def unknown_argument(name: str, known: Iterable[str]) -> ArgumentNameError:
 def _with_names(cause: str, name: object, known: Iterable[str]) -> str:
     """Returns the text of an error with the nearest valid name, all names, or both."""
     known = sorted(known)
-    near = difflib.get_close_matches(str(name), known, n=1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    near = _nearest(str(name), known)
+    hint = f" Did you mean {near!r}?" if near else ""
     text = f"{cause}.{hint}"
-    names = f"Known: {', '.join(known)}."
+    names = f"Known: {', '.join(known) or 'none'}."
     if len(text) + len(names) < MAX_LINE:
         return f"{text} {names}"
     return text if hint else f"{text} Choose a name from the list:\n{names}"
+
+
+def _nearest(name: str, known: Iterable[str]) -> str | None:
+    """Returns the valid name that an unknown one probably stands for; ``None`` if none is near.
+
+    Near is a name with similar letters, whatever their case, and the same digits: ``kart_0`` is not
+    near ``kart_7``. Otherwise, it is the only name that contains the unknown one or is part of it.
+    """
+    name, by_letters = name.lower(), {entry.lower(): entry for entry in known}
+    digits = re.sub(r"\D", "", name)
+    alike = [entry for entry in by_letters if re.sub(r"\D", "", entry) == digits]
+    near = difflib.get_close_matches(name, alike, n=1, cutoff=_NEAR)
+    if not near:
+        parts = [entry for entry in by_letters if len(entry) >= _MIN_PART <= len(name)]
+        near = [entry for entry in parts if entry in name or name in entry]
+        near = near if len(near) == 1 else []
+    return by_letters[near[0]] if near else None
 
 
 def check_arguments(checked_class: Kind) -> Kind:
@@ -153,19 +189,18 @@ def check_arguments(checked_class: Kind) -> Kind:
 
 
 def shortened(value: object, limit: int = 60) -> str:
-    """Returns the ``repr`` of a value, shortened to a maximum length.
+    """Returns the ``repr`` of a value in one line, shortened to a maximum length.
 
-    A large array is described by its shape and dtype.
+    An array or tensor that is too long is described by its shape and dtype.
 
     Args:
         value: the value.
         limit: maximum length [characters].
     """
-    type_name = type(value).__name__
-    if type_name == "ndarray" and getattr(value, "size", 0) > _MAX_SHOWN:
-        return f"an array of shape {value.shape} and dtype {value.dtype}"  # type: ignore[attr-defined]
     try:
-        text = repr(value)
+        text = re.sub(r"\s*\n\s*", " ", repr(value))
+        if len(text) > limit and hasattr(value, "shape") and hasattr(value, "dtype"):
+            text = f"an array of shape {tuple(value.shape)} and dtype {value.dtype}"
     except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
-        text = f"({type_name}: its __repr__ failed)"
+        text = f"({type(value).__name__}: its __repr__ failed)"
     return text if len(text) <= limit else f"{text[: limit - 3]}..."

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from stkzoo.errors import ConfigError
@@ -15,8 +17,10 @@ _OPTIONS = ("-P",) if sys.version_info >= (3, 11) else ()
 _BEGINNING = "import sys; sys.path[:] = filter(None, sys.path)\n"
 
 
-def lazy_names(package: str, homes: Mapping[str, Collection[str]]) -> Callable[[str], Any]:
-    """Returns a ``__getattr__`` function for a package.
+def lazy_names(
+    package: str, homes: Mapping[str, Collection[str]] = MappingProxyType({})
+) -> Callable[[str], Any]:
+    """Returns a ``__getattr__`` function that imports names and submodules when they are used.
 
     Args:
         package: ``__name__`` of the package.
@@ -27,6 +31,8 @@ def lazy_names(package: str, homes: Mapping[str, Collection[str]]) -> Callable[[
     def find(name: str) -> Any:
         if name in modules:
             return getattr(importlib.import_module(modules[name]), name)
+        if not name.startswith("_") and importlib.util.find_spec(f"{package}.{name}"):
+            return importlib.import_module(f"{package}.{name}")
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return find
@@ -55,6 +61,7 @@ def import_extra(module: str, needs: str, extra: str, hint: str = "") -> Any:
         is_missing = isinstance(error, ModuleNotFoundError) and package in str(error.name)
         problem = "is not installed" if is_missing else f"does not load ({error})"
         remedy = f"{install_command(extra)} {hint}".rstrip()
+        library = f"{library} (extra {extra})"
         raise ConfigError(f"{needs} {library}, which {problem}: {remedy}") from error
 
 

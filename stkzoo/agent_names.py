@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from stkzoo._checks import shortened, unknown_name
 from stkzoo.errors import ActionError, ConfigError
 
-__all__ = ["by_agent", "find_agent", "of_agent", "require_actions"]
+__all__ = ["actions_by_agent", "agent_named", "by_agent", "find_agent", "of_agent"]
 
 Value = TypeVar("Value")
 
@@ -28,29 +28,33 @@ def find_agent(name: object, agents: Iterable[str]) -> str:
         >>> find_agent(1, ["kart_0", "kart_1"])
         'kart_1'
     """
-    agents = list(agents)
+    agent = agent_named(name, agents)
+    if agent is None:
+        raise unknown_name("agent", name, agents)
+    return agent
+
+
+def agent_named(name: object, agents: Iterable[str]) -> str | None:
+    """Returns the id of an agent, as :func:`find_agent` does; ``None`` if there is no agent."""
     if isinstance(name, str) and name in agents:
         return name
-    if isinstance(name, (int, str)) and not isinstance(name, bool) and str(name).isdecimal():
-        for agent in agents:
-            if agent.rpartition("_")[2] == str(int(name)):
-                return agent
-    raise unknown_name("agent", name, agents)
+    if not isinstance(name, (int, str)) or isinstance(name, bool) or not str(name).isdecimal():
+        return None
+    number = str(int(name))
+    return next((agent for agent in agents if agent.rpartition("_")[2] == number), None)
 
 
-def of_agent(values: Mapping[str, Value], agent: str) -> Value:
+def of_agent(values: Mapping[str, Value], agent: object) -> Value:
     """Returns the value of an agent.
 
     Args:
         values: values by id of the agent.
-        agent: id of the agent.
+        agent: the agent, as in :func:`find_agent`.
 
     Raises:
         ConfigError: there is no such agent; the error text lists the agents.
     """
-    if agent not in values:
-        raise unknown_name("agent", agent, values)
-    return values[agent]
+    return values[find_agent(agent, values)]
 
 
 def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str, Value]:
@@ -73,11 +77,13 @@ def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str,
     return by_id
 
 
-def require_actions(actions: object, agents: Sequence[str], optional: Collection[str] = ()) -> None:
-    """Checks that there is an action for every agent.
+def actions_by_agent(
+    actions: object, agents: Sequence[str], optional: Collection[str] = ()
+) -> dict[str, Any]:
+    """Returns the actions of agents by id, and checks that there is one for every agent.
 
     Args:
-        actions: actions by agent.
+        actions: actions by agent, as in :func:`find_agent`. Those of other agents are left out.
         agents: ids of the agents that act.
         optional: agents that need no action.
 
@@ -86,11 +92,13 @@ def require_actions(actions: object, agents: Sequence[str], optional: Collection
     """
     if not isinstance(actions, Mapping):
         raise ActionError(
-            f"the actions have to be a dict by agent: {', '.join(agents)}; found "
-            f"{shortened(actions, 200)}",
+            f"the actions are {shortened(actions)}; expected a dict with an action for each of "
+            f"{', '.join(map(repr, agents))}",
             agents[0] if agents else "",
         )
-    missing = [agent for agent in agents if agent not in actions and agent not in optional]
+    by_id = {agent_named(name, agents): action for name, action in actions.items()}
+    acting = {agent: by_id[agent] for agent in agents if agent in by_id}
+    missing = [agent for agent in agents if agent not in acting and agent not in optional]
     if missing:
         came = ", ".join(map(repr, actions)) or "none"
         raise ActionError(
@@ -98,3 +106,4 @@ def require_actions(actions: object, agents: Sequence[str], optional: Collection
             "Send one for every agent in env.agents.",
             missing[0],
         )
+    return acting

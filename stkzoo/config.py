@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from stkzoo._checks import check_arguments, check_number, unknown_name
+from stkzoo._checks import check_arguments, check_name, check_number
 from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
 
@@ -172,8 +172,7 @@ def _check_fields(options: Any, values: Mapping[str, object], noun: str) -> None
     """
     known = [field.name for field in fields(options)]
     for name in values:
-        if name not in known:
-            raise unknown_name(f"field of {noun}", name, known)
+        check_name("field", name, known, f" of {noun}")
 
 
 def check_mode(mode: object) -> None:
@@ -185,5 +184,4 @@ def check_mode(mode: object) -> None:
     Raises:
         ConfigError: there is no such mode.
     """
-    if not isinstance(mode, str) or mode not in RACE_MODES:
-        raise unknown_name("mode", mode, RACE_MODES)
+    check_name("mode", mode, RACE_MODES)

@@ -180,6 +180,49 @@ def test_a_package_lists_what_it_exports():
         ]
         assert unfit == [], package
         assert len(exported) == len(set(exported)), package
+        assert not exported or dir(module) == sorted(exported), package
+
+
+#: A name in the documentation, except in an import, and those that are no attributes: programs,
+#: files, and an example.
+DOCUMENTED = re.compile(
+    r"(?<!from )(?<!import )(?<![\w./@:-])stkzoo(?:\.[A-Za-z]\w*)+\b(?!\.?[\w-])"
+)
+NO_ATTRIBUTE = re.compile(r"stkzoo\.(agents\.(training|steady)|cli)\b|\.(md|py|toml|json)$")
+
+RESOLVE = """
+import sys, stkzoo
+for name in sys.argv[1:]:
+    found = stkzoo
+    for part in name.split(".")[1:]:
+        if part in getattr(found, "__annotations__", ()):
+            break
+        if not hasattr(found, part):
+            print(name)
+            break
+        found = getattr(found, part)
+"""
+
+
+def documented_names():
+    """Returns the names below ``stkzoo`` that pages and docstrings write."""
+    project = ROOT.parent
+    pages = [project / "README.md", project / "CONTRIBUTING.md", *project.glob("docs/**/*.md")]
+    texts = [page.read_text("utf-8") for page in pages]
+    for path in SOURCES:
+        kinds = ast.Module, ast.ClassDef, ast.FunctionDef
+        nodes = (node for node in ast.walk(parsed(path)) if isinstance(node, kinds))
+        texts += [ast.get_docstring(node) or "" for node in nodes]
+    names = {name for text in texts for name in DOCUMENTED.findall(text)}
+    return sorted(name for name in names if not NO_ATTRIBUTE.search(name))
+
+
+def test_names_in_the_documentation_resolve_after_import_stkzoo():
+    names = documented_names()
+    assert len(names) > 150
+    command = [sys.executable, "-W", "ignore", "-c", RESOLVE, *names]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)
 
 
 def test_names_that_a_package_reexports_are_in_its_list():

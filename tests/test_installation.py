@@ -62,7 +62,7 @@ def test_a_missing_library_is_reported_with_its_install_command():
     with pytest.raises(ConfigError) as caught:
         import_extra("no_such_library.part", "the plot needs", "web", "or pass --no-plot")
     assert str(caught.value) == (
-        "the plot needs no_such_library, which is not installed: "
+        "the plot needs no_such_library (extra web), which is not installed: "
         'pip install "aiohttp>=3" or pass --no-plot'
     )
 

@@ -1,9 +1,15 @@
 """Typical mistakes of new users: the first line of each message has the cause and the remedy."""
 
+import copy
 import json
+import os
+import pickle
+import re
 import socket
+import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -12,8 +18,11 @@ import pytest
 import stkzoo
 from stkzoo import race_v0
 from stkzoo.cli import main
-from stkzoo.errors import MAX_LINE, StkzooError
-from stkzoo.race import run_race
+from stkzoo.errors import MAX_LINE, AgentException, ApiOrderError, ConfigError, StkzooError
+from stkzoo.evaluation import run_tournament
+from stkzoo.mdp.transition import Transition
+from stkzoo.race import Driver, find_driver, run_race
+from stkzoo.suite import find_task
 
 #: Command line, and a part of the first line of its message. ``{here}`` is a folder of examples.
 COMMANDS = [
@@ -22,6 +31,9 @@ COMMANDS = [
     ("race heuristik", "Did you mean 'heuristic'?"),
     ("race ai --trak lighthouse", "Did you mean '--track'?"),
     ("race ai --track moon", "unknown track 'moon'. Choose a name from the list:"),
+    ("race tux", "unknown driver 'tux'. Choose a name from the list:"),
+    ("race ACE", "Did you mean 'pretrained:ace'?"),
+    ("suite list versos", "Did you mean 'versus'?"),
     ("race ai --laps two", "argument --laps: invalid int value: 'two'"),
     ("race ai ai --num-karts 1", "--num-karts is 1, but 2 drivers are named"),
     ("race ai --action-timeout -1", "action_timeout is -1.0, expected a number of seconds above 0"),
@@ -193,6 +205,11 @@ def make(**options):
     return race_v0.parallel_env(**options)
 
 
+def start(**options):
+    with make(num_kart=1, track="lighthouse", **options) as env:
+        env.reset(seed=0)
+
+
 #: A mistake in Python, and a part of the first line of its message.
 CALLS = [
     (lambda: make(num_kart=0), "num_kart is 0, expected a whole number from 1 to 256"),
@@ -220,6 +237,44 @@ CALLS = [
     (lambda: stkzoo.register_view("simple", "full"), "choose another name"),
     (lambda: stkzoo.RaceVectorEnv("two"), "num_races is 'two'"),
     (lambda: stkzoo.RaceVectorEnv(1, view="full"), "choose view="),
+    (lambda: make(track="agents"), "unknown track 'agents'. Choose a name from the list:"),
+    (lambda: make(track="LightHouse"), "Did you mean 'lighthouse'?"),
+    (lambda: make(track=b"lighthouse"), "track is b'lighthouse', expected a name"),
+    (lambda: make(view="supertuxkart/simple-v0"), "Did you mean 'simple'?"),
+    (lambda: make(view=3), "view is 3, expected a name in stkzoo.views(), a function"),
+    (lambda: make(max_steps=3), "unexpected keyword argument 'max_steps'."),
+    (lambda: make(kart="tux"), "unexpected keyword argument 'kart'. Did you mean 'num_kart'?"),
+    (lambda: make(agents=[{1: 2}]), "unknown field 1 of agent 0. Known: camera_mode"),
+    (lambda: make(view=("simple", {1: 2})), "unknown option 1 of the simple view. Known:"),
+    (lambda: make(view={5: "simple"}), "unknown agent 5. Known: kart_0, kart_1, kart_2."),
+    (lambda: make(reward={5: "race"}), "unknown agent 5. Known: kart_0, kart_1, kart_2."),
+    (lambda: make(reward={"kart_5": {"time": 1}}), "unknown agent 'kart_5'. Known: kart_0"),
+    (lambda: make(reward={1.5: len, "mine": len}), "unknown agent 1.5. Known: kart_0"),
+    (lambda: make(reward=len), "a dict of weights and functions such as {'time': 0.5"),
+    (lambda: stkzoo.Reward({1: len}), "reward term 1 is <built-in function len>, expected a name"),
+    (lambda: stkzoo.Reward([len]), "terms is [<built-in function len>], expected a dict by name"),
+    (lambda: stkzoo.Reward({"mine": len}, 2.0), "weights is 2.0, expected a dict by name"),
+    (lambda: start(start={5: 10.0}), "unknown agent 5. Known: kart_0."),
+    (lambda: start(view=lambda _: None), "the view returned None; expected its environment"),
+    (lambda: start(view=lambda _: gymnasium.make("CartPole-v1")), "wrap the one that it gets"),
+    (lambda: make().reset(options={1: 2}), "unknown option 1. Choose a name from the list:"),
+    (lambda: make().reset(options={"agents": 1}), "unknown option 'agents'. Choose a name"),
+    (lambda: make().observe(["kart_7"]), "unknown agent 'kart_7'. Known: kart_0, kart_1, kart_2."),
+    (lambda: make().action_space(["kart_0"]), "unknown agent ['kart_0']. Did you mean 'kart_0'?"),
+    (lambda: make().follow(None), "other is None, expected an environment of one race"),
+    (lambda: setattr(make(), "options", {"laps": 2}), "{'laps': 2}, expected RaceOptions"),
+    (lambda: stkzoo.make_stkrace_vec(1, env_kwargs=3), "env_kwargs is 3, expected a dict"),
+    (lambda: stkzoo.RaceVectorEnv(1, num_kart=2, view={0: "racing"}), "the same view"),
+    (lambda: stkzoo.unregister_view("mine"), "unknown registered view 'mine'. Known: none."),
+    (lambda: find_driver(None), "a driver is None, expected a name such as 'ai' or a path"),
+    (lambda: run_race([3]), "a driver is 3, expected a name such as 'ai' or a path"),
+    (lambda: run_tournament(None, output="x"), "agents is None, expected a list"),
+    (lambda: find_task("solo"), "unknown task 'solo'. Known: selfplay-5, solo-1"),
+    (lambda: stkzoo.MonoAgentWrapperAdapter(make(), {}).step({}), "step() before reset()"),
+    (
+        lambda: stkzoo.MonoAgentWrapperAdapter(gymnasium.make("supertuxkart/simple-v0"), {}),
+        "expected an environment of several agents",
+    ),
 ]
 
 
@@ -237,7 +292,12 @@ ACTIONS = [
     ({"kart_0": np.zeros(2)}, "kart_0"),
     ({"kart_0": "left"}, "is 'left'; expected"),
     ({"kart_9": 0}, "no action for agent 'kart_0'; actions came for 'kart_9'"),
-    ([0], "[0]"),
+    ({9: 0}, "no action for agent 'kart_0'; actions came for 9"),
+    ({None: 0}, "no action for agent 'kart_0'; actions came for None"),
+    ([0], "[0]; expected a dict with an action for each of 'kart_0'"),
+    ({"kart_0": np.zeros((99, 99))}, "is an array of shape (99, 99) and dtype float64; expected"),
+    ({"kart_0": np.zeros(50)}, "an array of shape (50,) and dtype float64; expected"),
+    ({"kart_0": print}, "is <built-in function print>; expected"),
 ]
 
 
@@ -254,3 +314,296 @@ def test_an_invalid_action_is_explained(race, actions, expected):
         race.step(actions)
     assert expected in str(caught.value).splitlines()[0]
     assert is_legible(str(caught.value))
+
+
+@pytest.mark.parametrize("key", [0, "0", "kart_0", np.str_("kart_0")], ids=repr)
+def test_an_agent_is_named_by_id_or_number(race, key):
+    assert race.action_space(key) is race.action_spaces["kart_0"]
+    observations, *_ = race.step({key: 0})
+    assert list(observations) == ["kart_0"]
+
+
+@pytest.mark.parametrize("key", [0, "0", "kart_0"], ids=repr)
+def test_an_agent_of_the_gymnasium_id_is_named_by_id_or_number(key):
+    options = {"num_kart": 1, "track": "lighthouse"}
+    with gymnasium.make("supertuxkart/multi-full-v0", disable_env_checker=True, **options) as env:
+        env.reset(seed=0)
+        observations, *_ = env.step({key: env.action_space.sample()["0"]})
+        assert list(observations) == ["0"]
+
+
+class OnDevice:
+    """An array of another library, which numpy cannot read."""
+
+    shape = (2,)
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("Use .get() to copy it")
+
+    def __repr__(self):
+        return "array on a device"
+
+
+def tensors():
+    torch = pytest.importorskip("torch", reason="extra sb3")
+    return {
+        "Use tensor.detach().numpy() instead": torch.zeros(2, requires_grad=True),
+        "Use Tensor.to_dense() first": torch.zeros(2).to_sparse(),
+        "convert meta device type tensor": torch.zeros(2, device="meta"),
+        "Got unsupported ScalarType BFloat16": torch.zeros(2, dtype=torch.bfloat16),
+        "copy it": OnDevice(),
+    }
+
+
+VIEW = "flattened_continuous_actions"
+
+
+def parallel(action):
+    with make(num_kart=1, track="lighthouse", view=VIEW) as env:
+        env.reset(seed=0)
+        env.step({"kart_0": action})
+
+
+def in_turns(action):
+    env = race_v0.env(num_kart=1, track="lighthouse", view=VIEW)
+    env.reset(seed=0)
+    try:
+        env.step(action)
+    finally:
+        env.close()
+
+
+def single(action):
+    with gymnasium.make(f"supertuxkart/{VIEW}-v0", num_kart=1, track="lighthouse") as env:
+        env.reset(seed=0)
+        env.step(action)
+
+
+def batch(action):
+    envs = stkzoo.RaceVectorEnv(1, num_kart=1, track="lighthouse", view=VIEW)
+    envs.reset(seed=0)
+    try:
+        envs.step([action])
+    finally:
+        envs.close()
+
+
+def policy(action):
+    driver = Driver.of_policy(lambda _: action, view=VIEW)
+    run_race([driver], track="lighthouse", max_steps=1, error_handling="raise")
+
+
+@pytest.mark.parametrize("front", [parallel, in_turns, single, batch, policy])
+def test_an_action_that_numpy_cannot_read_is_explained(front):
+    for expected, action in tensors().items():
+        with pytest.raises(StkzooError) as caught:
+            front(action)
+        assert expected in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+#: What a reward term returns for a race of one kart, and a part of the message.
+TERMS = [
+    (None, "returned None, expected an array of shape (1,): a finite number for each kart"),
+    ("good", "returned 'good', expected an array of shape (1,)"),
+    (1.0, "returned 1.0, expected an array of shape (1,)"),
+    ([1.0, 2.0], "returned [1.0, 2.0], expected an array of shape (1,)"),
+    ([np.nan], "returned [nan], expected"),
+    ({"kart_0": 1.0}, "returned {'kart_0': 1.0}, expected"),
+    (np.zeros(1, complex), "returned array([0.+0.j]), expected"),
+    (OnDevice(), "failed: RuntimeError: Use .get() to copy it"),
+]
+
+
+@pytest.mark.parametrize(("returned", "expected"), TERMS, ids=repr)
+def test_what_a_reward_term_returns_is_checked(race, returned, expected):
+    step = Transition(race.snapshot, race.snapshot, 100.0)
+    with pytest.raises(ConfigError) as caught:
+        stkzoo.Reward({"mine": lambda _: returned})(step)
+    assert expected in str(caught.value)
+    assert is_legible(str(caught.value))
+
+
+def test_a_race_with_a_failing_reward_term_stops_and_starts_again():
+    with make(num_kart=1, track="lighthouse", reward={"mine": lambda _: None}) as env:
+        for _ in range(2):
+            with pytest.raises(ConfigError, match="reward term 'mine' returned None"):
+                drive(env)
+
+
+def drive(env):
+    env.reset(seed=0)
+    env.step({"kart_0": env.action_space("kart_0").sample()})
+
+
+class Results(gymnasium.Wrapper):
+    """Changes what ``reset`` and ``step`` return.
+
+    Args:
+        env: the environment.
+        change: method, and number of the part to replace; ``None`` replaces the whole result.
+        value: what replaces it.
+    """
+
+    def __init__(self, env, change, value):
+        super().__init__(env)
+        self.change, self.value = change, value
+
+    def changed(self, method, result):
+        name, part = self.change
+        if name != method:
+            return result
+        if part is None:
+            return self.value
+        return tuple(self.value if n == part else old for n, old in enumerate(result))
+
+    def reset(self, **options):
+        return self.changed("reset", self.env.reset(**options))
+
+    def step(self, action):
+        return self.changed("step", self.env.step(action))
+
+
+RESULTS = [
+    ("reset", None, None, "they returned None, expected (observation, info)"),
+    ("reset", 0, None, "they returned None as observation"),
+    ("reset", 1, None, "they returned None as info"),
+    ("step", None, None, "expected (observation, reward, terminated, truncated, info)"),
+    ("step", None, (0, 1.0, False, {}), "expected (observation, reward, terminated, truncated"),
+    ("step", 0, None, "they returned None as observation"),
+    ("step", 1, None, "they returned None as reward"),
+    ("step", 1, "good", "they returned 'good' as reward"),
+    ("step", 1, np.nan, "they returned nan as reward"),
+    ("step", 2, np.zeros(2), "they returned array([0., 0.]) as terminated"),
+    ("step", 4, "info", "they returned 'info' as info"),
+]
+
+
+@pytest.mark.parametrize(("method", "part", "value", "expected"), RESULTS, ids=repr)
+def test_what_a_wrapper_returns_is_checked(method, part, value, expected):
+    def view(env):
+        return Results(env, (method, part), value)
+
+    with make(num_kart=1, track="lighthouse", view=view) as env:
+        with pytest.raises(AgentException) as caught:
+            drive(env)
+        assert expected in str(caught.value)
+        assert is_legible(str(caught.value))
+
+
+def test_an_observation_outside_its_space_is_explained_in_a_vector_environment():
+    class Broken(gymnasium.ObservationWrapper):
+        def observation(self, _):
+            return {"wrong": 1}
+
+    def view(env):
+        return Broken(stkzoo.views()["racing"](env))
+
+    envs = stkzoo.RaceVectorEnv(1, num_kart=1, track="lighthouse", view=view)
+    with pytest.raises(ConfigError, match=r"observation of slot 0 is \{'wrong': 1\}, which is not"):
+        envs.reset(seed=0)
+    envs.close()
+
+
+COPIES = [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
+
+
+@pytest.mark.parametrize("duplicate", COPIES, ids=["copy", "deepcopy", "pickle"])
+def test_a_copy_in_mid_race_names_clone(race, duplicate):
+    with duplicate(race) as twin:
+        for call in (lambda: twin.step({"kart_0": 0}), twin.state, twin.save_state):
+            with pytest.raises(ApiOrderError, match=r"call reset\(\) first; .* only clone\(\)"):
+                call()
+        twin.reset(seed=0)
+        twin.step({"kart_0": 0})
+
+
+LOCALE = """
+import os
+from stkzoo._locks import locked_folder
+from stkzoo._os import check_writable, write_text
+from stkzoo._reading import reading, read_text
+from stkzoo.errors import StkzooError
+from stkzoo.race import find_driver
+
+def lock(path):
+    with locked_folder(Path(path), "run"):
+        pass
+
+def read(path):
+    with reading(path, "a text"):
+        read_text(path)
+
+from pathlib import Path
+typed, listed = f"pil{chr(243)}te", os.listdir(".")[0]
+for name in (typed, listed):
+    for call in (find_driver, lock, read, lambda name: write_text(name + ".txt", "")):
+        try:
+            call(name)
+            print("works")
+        except StkzooError as error:
+            print(ascii(str(error)))
+"""
+
+
+def test_accented_paths_work_or_are_refused_in_a_locale_without_accents(tmp_path):
+    (tmp_path / "pil\xf3te").mkdir()
+    (tmp_path / "pil\xf3te" / "pystk_actor.py").write_text("def get_actor(*_): return print")
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", LOCALE],
+        cwd=tmp_path,
+        env={**os.environ, **plain},
+        capture_output=True,
+        text=True,
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == 8, done.stderr
+    for line in lines:
+        assert line == "works" or "set PYTHONUTF8=1" in line or "not a regular file" in line
+    assert lines.count("works") == 2, lines
+
+
+#: Arguments of training programs; the others need ``--output`` alone.
+PROGRAMS = {
+    "evaluate": "run",
+    "export": "none.safetensors --name mine --output mine",
+    "plot": "run",
+    "ppo.selfplay": "--output new --total-timesteps 10",
+    "rate": "run --output new",
+}
+
+WITHOUT_EXTRAS = """
+import contextlib, io, json, runpy, sys
+programs, missing = json.loads(sys.argv[1])
+sys.modules.update(dict.fromkeys(missing))
+for name, words in programs.items():
+    said = io.StringIO()
+    sys.argv = [name, *words.split()]
+    try:
+        with contextlib.redirect_stderr(said):
+            runpy.run_module("stkzoo.agents.training." + name, run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        said.write(end.code if isinstance(end.code, str) else "")
+    print(name, said.getvalue().strip().splitlines())
+"""
+
+
+def test_training_programs_without_their_extras_name_them(tmp_path):
+    folder = Path(stkzoo.__file__).parent / "agents" / "training"
+    names = [
+        ".".join(file.relative_to(folder).with_suffix("").parts)
+        for file in sorted(folder.rglob("*.py"))
+        if "__main__" in file.read_text("utf-8")
+    ]
+    programs = {name: PROGRAMS.get(name, "--output new") for name in names}
+    missing = ["cma", "matplotlib", "openskill", "ray", "stable_baselines3", "threadpoolctl"]
+    arguments = json.dumps([programs, [*missing, "torch"]])
+    command = [sys.executable, "-W", "ignore", "-c", WITHOUT_EXTRAS, arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert "Traceback" not in done.stderr
+    said = dict(line.split(" ", 1) for line in done.stdout.splitlines())
+    assert list(said) == names
+    for name, lines in said.items():
+        needs_files_first = name in ("export", "plot")
+        assert needs_files_first or re.fullmatch(r"\[.error: .* \(extra \w+\).*\]", lines), lines

@@ -32,3 +32,4 @@ __all__ = [
     "PolarObservations",
     "SpaceFlattener",
 ]
+__dir__ = __all__.copy

@@ -14,7 +14,7 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo._checks import check_arguments
 from stkzoo._left_out import LeftOutNames
-from stkzoo.agent_names import of_agent, require_actions
+from stkzoo.agent_names import actions_by_agent, of_agent
 from stkzoo.errors import ConfigError
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
@@ -114,7 +114,7 @@ class MonoAgentWrapperAdapter(
             ActionError: an action is missing or invalid; the environment has not changed. Nor have
                 the wrappers if an action is invalid.
         """
-        require_actions(actions, self._present, optional=self._present)
+        actions = actions_by_agent(actions, self._present, optional=self._present)
         checked = self._walker.read_actions(actions, self._present)
         base = self._walker.begin_step(checked, self._present)
         try:
@@ -215,9 +215,9 @@ class ParallelAgentAdapter(BaseParallelWrapper[str, Any, Any]):
         """
         agents = self.agents
         if not agents:
-            return {}, {}, {}, {}, {}
+            return ({}, {}, {}, {}, {}) if self._retired else self.env.step({})
         # The actions of agents that the game drives are optional in a race.
-        require_actions(actions, agents, getattr(self.env.unwrapped, "ai_agents", ()))
+        actions = actions_by_agent(actions, agents, getattr(self.env.unwrapped, "ai_agents", ()))
         base = self._walker.begin_step(self._walker.read_actions(actions, agents), agents)
         for agent in self._retired.intersection(self.env.agents):
             base[agent] = create_zero_array(self.env.action_space(agent))
@@ -239,9 +239,8 @@ class ParallelAgentAdapter(BaseParallelWrapper[str, Any, Any]):
         A state or clone of the race would lack the wrappers.
         """
         raise ConfigError(
-            "saved states and clones do not work around MonoAgentWrapperAdapter, because they "
-            "would lack its wrappers; make the race with view=wrapper_factories instead, or use "
-            "those of the race without these wrappers, its unwrapped"
+            "saved states and clones of the race lack the wrappers of MonoAgentWrapperAdapter; "
+            "make the race with view=wrapper_factories instead, or use those of its unwrapped"
         )
 
     restore_state = clone = lookahead = follow = save_state

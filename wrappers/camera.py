@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo._checks import check_whole, unknown_name
+from stkzoo._checks import check_name, check_whole
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import RecordedWrapper
 
@@ -162,8 +162,7 @@ def checked_size(size: Sequence[int], name: str = "size") -> tuple[int, int]:
 def _kind(size: Sequence[int], depth: bool, backend: str) -> CameraKind:
     from stkzoo.render.renderer import BACKENDS  # `import stkzoo` loads no renderer
 
-    if backend not in BACKENDS:
-        raise unknown_name("backend", backend, BACKENDS)
+    check_name("backend", backend, BACKENDS)
     if depth and backend == "map":
         raise ConfigError('the map has no depth; leave out depth, or backend="map"')
     return CameraKind(checked_size(size), bool(depth), "engine" if depth else backend)

@@ -21,6 +21,7 @@ __all__ = [
     "get_batch_actor",
     "player_name",
 ]
+__dir__ = __all__.copy
 
 #: Id of the environment that the driver was made for.
 env_name = "supertuxkart/full-v0"

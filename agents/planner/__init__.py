@@ -35,6 +35,7 @@ __all__ = [
     "get_race_actor",
     "player_name",
 ]
+__dir__ = __all__.copy
 
 #: Id of the environment whose observations the planner reads.
 env_name = "supertuxkart/full-v0"

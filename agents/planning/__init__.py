@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._imports import lazy_names
 from stkzoo.kernel import not_built
 
 try:
@@ -27,6 +28,8 @@ except ImportError as error:
     raise not_built(error) from None
 
 __all__ = ["BoolArray", "FloatArray", "IntArray"]
+__dir__ = __all__.copy
+__getattr__ = lazy_names(__name__)
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]

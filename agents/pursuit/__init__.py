@@ -22,6 +22,7 @@ __all__ = [
     "get_wrappers",
     "player_name",
 ]
+__dir__ = __all__.copy
 
 #: Id of the environment that the driver was made for; its wrapper adds physical units.
 env_name = "supertuxkart/full-v0"

@@ -238,6 +238,7 @@ def errors_of(layers: Sequence[FloatArray], inputs: FloatArray, outputs: FloatAr
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
     """Trains the network, saves it and prints its errors."""
+    training_torch()  # says what is missing before the karts drive
     make_folder(options.output, "network")
     rules = DriverParameters(learned_motion=arguments.learned_motion)
     rounds = []

@@ -3,11 +3,11 @@
     python -m stkzoo.agents.training.tune_plans --output tuned --generations 60
 
 CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", 2016; library ``cma``) proposes sets of
-:class:`~stkzoo.agents.planning.DriverParameters` around its current mean. The loss of a set is the
-mean logarithm of its race time over the game AI's median time. In a generation, all sets drive the
-same races on all training tracks, in both directions, with the plans only, and in parallel. By
-default each kart drives alone, because collisions would have more influence than the parameters.
-The test tracks of :mod:`stkzoo.tracks` are never used.
+:class:`~stkzoo.agents.planning.parameters.DriverParameters` around its current mean. The loss of a
+set is the mean logarithm of its race time over the game AI's median time. In a generation, all sets
+drive the same races on all training tracks, in both directions, with the plans only, and in
+parallel. By default each kart drives alone, because collisions would have more influence than the
+parameters. The test tracks of :mod:`stkzoo.tracks` are never used.
 
 The folder contains ``log.jsonl``, one line per generation with all proposals and results, and
 ``best.json``, the parameters of the mean. To continue exactly from the log, also after a kill, run
@@ -31,7 +31,7 @@ import numpy as np
 from msgspec import Meta
 
 from stkzoo._arguments import option
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo._locks import locked_folder
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -137,8 +137,7 @@ class TuningArguments(RunArguments):
     def __post_init__(self) -> None:
         RunArguments.__post_init__(self)
         for track in self.tracks:
-            if track not in TRAIN_TRACKS:
-                raise unknown_name("training track", track, TRAIN_TRACKS)
+            check_name("training track", track, TRAIN_TRACKS)
 
 
 #: One number per tuned parameter.

@@ -19,6 +19,7 @@ _NAMES = {
 globals().update(_NAMES)
 
 __all__ = ["definitions", "envs", "stk_wrappers", "utils", "vecenv", "wrappers", *_NAMES]
+__dir__ = __all__.copy
 
 
 def modules() -> dict[str, ModuleType]:

@@ -38,6 +38,7 @@ from stkzoo.cli._process import INTERRUPTED, discard_stdout, end_signals, writin
 from stkzoo.errors import ConfigError, StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
+__dir__ = __all__.copy
 
 #: Names of the commands.
 COMMANDS = tuple(

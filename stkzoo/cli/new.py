@@ -85,5 +85,5 @@ def _check_name(folder: str) -> None:
     if plain_text(path) != path or "@:" in folder or is_driver:
         raise ConfigError(
             f"{plain_text(folder)!r} is the name of a driver of stkzoo, or contains @:, control "
-            "codes or bytes that are not UTF-8; choose another folder"
+            "codes or letters that this locale cannot read; choose another folder"
         )

@@ -28,7 +28,7 @@ from rich.console import Console
 
 from stkzoo import suite
 from stkzoo._arguments import option, options_of, positional
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo.cli._batch import RUN_OPTIONS, file_name, run_and_show, run_batch
 from stkzoo.cli._console import say, show, show_facts, show_table
 from stkzoo.cli.benchmark import show_results
@@ -209,8 +209,7 @@ def _train(arguments: TrainArguments) -> int:
       stkzoo suite train versus ippo --kart-steps 10000000       the long tier
     """
     task, name = suite.find_task(arguments.task), arguments.algorithm
-    if name not in suite.ALGORITHMS:
-        raise unknown_name("algorithm", name, suite.ALGORITHMS)
+    check_name("algorithm", name, suite.ALGORITHMS)
     kart_steps = task.budget if arguments.kart_steps is None else arguments.kart_steps
     folder = arguments.output or Path("runs", f"{task.name}-{name}-{arguments.seed}")
     algorithms = import_module(f"{_TRAINING}.algorithms")

@@ -19,3 +19,4 @@ __all__ = [
     "driver_names",
     "find_driver",
 ]
+__dir__ = __all__.copy

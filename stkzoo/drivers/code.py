@@ -124,7 +124,7 @@ def read_module(
         _check_call(get_actor, "get_actor", "module_dir", "observation_space", "action_space")
     else:
         get_actor = partial(create_actor, get_actor)
-    create_state = getattr(module, "create_state", lambda: None)
+    create_state = _function_of(module, "create_state", lambda: None)
 
     def make_actor(
         observation_space: spaces.Space[Any], action_space: spaces.Space[Any], _: int
@@ -139,13 +139,26 @@ def read_module(
         return partial(actor, create_state())
 
     view = _view_of(getattr(module, "env_name", _DEFAULT_ENV))
-    wrappers = list(getattr(module, "get_wrappers", list)() or [])
+    wrappers = map(find_view, _function_of(module, "get_wrappers", list)() or [])
     name = str(getattr(module, "player_name", ""))
     wrap = View("own", "An agent's own.", (view, *wrappers))
     together = None
     if create_actor is None and hasattr(module, "get_batch_actor"):
-        together = partial(_act_together, functools.cache(partial(module.get_batch_actor, folder)))
+        get_batch_actor = _function_of(module, "get_batch_actor")
+        together = partial(_act_together, functools.cache(partial(get_batch_actor, folder)))
     return AgentCode(wrap, make_actor, name, scope or nullcontext(), together)
+
+
+def _function_of(module: ModuleType, name: str, default: object = None) -> Callable[..., Any]:
+    """Returns a function of an agent's module.
+
+    Raises:
+        ConfigError: it is not a function.
+    """
+    function = getattr(module, name, default)
+    if not callable(function):
+        raise ConfigError(f"{name} is {shortened(function)}; expected a function")
+    return function
 
 
 def _check_call(function: Callable[..., Any], name: str, *arguments: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
+import os
 import pickle
 import pkgutil
 from collections.abc import Callable, Iterable, Sequence
@@ -145,7 +146,9 @@ def check_adapter(drivers: Iterable[Driver], adapter: object) -> None:
         )
 
 
-def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) -> Driver:
+def find_driver(
+    text: str | os.PathLike[str], *, inline: bool = False, adapter: str | None = None
+) -> Driver:
     """Returns the driver with a name.
 
     Args:
@@ -163,6 +166,9 @@ def find_driver(text: str, *, inline: bool = False, adapter: str | None = None) 
         ConfigError: no driver has this name, the files are not an agent, or the adapter does not
             exist.
     """
+    if not isinstance(text, (str, os.PathLike)):
+        raise ConfigError(f"a driver is {shortened(text)}, expected a name such as 'ai' or a path")
+    text = os.fspath(text)
     source, mark, name = text.rpartition(_NAME_MARK) if _NAME_MARK in text else (text, "", "")
     if mark and not name:
         raise ConfigError(

@@ -187,7 +187,8 @@ def find_files(source: str) -> AgentFiles | None:
         shown = plain_text(str(path))
         if shown != str(path):
             raise ConfigError(
-                f"the path {shown!r} of an agent has control codes or is not UTF-8; rename it"
+                f"the path {shown!r} of an agent has control codes or letters that this locale "
+                "cannot read; rename it, or set PYTHONUTF8=1"
             )
         if path.is_dir():
             _place_in(path, source)

@@ -5,3 +5,7 @@ Only this package imports ``pystk2``: :mod:`~stkzoo.engine.race` and
 engine process imports only numpy, the kernel and modules directly in ``stkzoo`` besides this
 package.
 """
+
+from stkzoo._imports import lazy_names
+
+__getattr__ = lazy_names(__name__)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agent_names import by_agent, find_agent
+from stkzoo.agent_names import agent_named, by_agent
 from stkzoo.engine.ground import Ground, ground_of
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
@@ -18,7 +18,6 @@ from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer, split_batch
 from stkzoo.mdp.events import EVENTS, STREAKS, RaceEvents
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
@@ -78,7 +77,11 @@ def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward
     default = "race"
     if isinstance(choice, RewardOver):
         default, choice = choice.default, choice.choice
-    if isinstance(choice, Mapping) and any(_is_agent(name, agents) for name in choice):
+    choices = (Mapping, Reward)
+    if isinstance(choice, Mapping) and any(
+        not isinstance(name, str) or agent_named(name, agents) or isinstance(value, choices)
+        for name, value in choice.items()
+    ):
         chosen = by_agent(choice, agents)
         return {agent: as_reward(chosen.get(agent), default) for agent in agents}
     return dict.fromkeys(agents, as_reward(choice, default))
@@ -469,11 +472,3 @@ def endings_of(options: RaceOptions, count: int) -> Endings | None:
         options.end_when_first_finishes,
     )
     return None if chosen == (None,) * 4 else Endings(options, count)
-
-
-def _is_agent(name: object, agents: Sequence[str]) -> bool:
-    try:
-        find_agent(name, agents)
-    except ConfigError:
-        return False
-    return True

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import EzPickle
 
+from stkzoo._checks import shortened
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
@@ -19,6 +20,7 @@ from stkzoo.env.race import Race
 from stkzoo.env.rendering import scene_of
 from stkzoo.env.scenario import Scenario
 from stkzoo.env.state import RaceState
+from stkzoo.errors import ConfigError
 from stkzoo.render.scene import Scene
 
 if TYPE_CHECKING:
@@ -29,7 +31,7 @@ class RaceFront(EzPickle):
     """An environment that drives one race.
 
     A copy, by pickle too, is made from the constructor's arguments and the options of the next
-    race; it starts a race of its own at its next ``reset``.
+    race; it starts a race of its own at its next ``reset``. Only :meth:`clone` copies a race.
 
     Attributes:
         live_race: the race.
@@ -76,6 +78,8 @@ class RaceFront(EzPickle):
 
     @options.setter
     def options(self, options: RaceOptions) -> None:
+        if not isinstance(options, RaceOptions):
+            raise ConfigError(f"options is {shortened(options)}, expected RaceOptions")
         self.live_race.options = options
 
     @property
@@ -170,10 +174,12 @@ class RaceFront(EzPickle):
 
         Raises:
             ApiOrderError: the other environment was not reset yet.
-            ConfigError: the other environment has other karts or agents.
+            ConfigError: the other one is no environment of one race, or has other karts or agents.
             AgentException: an agent's wrapper holds an object that cannot be copied.
             EngineError: this platform cannot fork races, or the game crashed.
         """
+        if not isinstance(other, RaceFront):
+            raise ConfigError(f"other is {shortened(other)}, expected an environment of one race")
         with self.live_race.turn.of("follow"), other.live_race.turn.of("clone"):
             self.live_race.follow(other.live_race)
 
@@ -216,3 +222,4 @@ class RaceFront(EzPickle):
         """Makes the environment in place, because its cameras refer to it."""
         self.__init__(*state["_ezpickle_args"], **state["_ezpickle_kwargs"])  # type: ignore[misc]
         self.options = state["options"]
+        self.live_race.is_copy = True

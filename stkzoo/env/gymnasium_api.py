@@ -17,7 +17,6 @@ from gymnasium.utils import EzPickle
 
 from stkzoo._checks import check_whole, unknown_argument
 from stkzoo._left_out import LeftOutNames
-from stkzoo.agent_names import require_actions
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
@@ -437,22 +436,16 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
 
     def _step_by_number(self, action: Mapping[str, Any]) -> StepParts:
         """Steps the race with actions by number; returns results by agent."""
-        require_actions(action, [*self._names], optional=self._names)
+        if isinstance(action, Mapping):
+            action = {self._names.get(str(key), key): value for key, value in action.items()}
         try:
-            actions = {self._names[key]: value for key, value in action.items()}
-        except KeyError as error:
-            key = str(error.args[0])
-            raise ActionError(
-                f"there is an action for agent {key!r}, expected {', '.join(self._names)}", key
-            ) from None
-        try:
-            return self.core.step(actions)
+            return self.core.step(action)
         except ActionError as error:
             raise self._by_key(error) from None
 
     def _by_key(self, error: ActionError) -> ActionError:
         """Returns the error with the core's agent names replaced by this environment's keys."""
-        text = str(error).replace("action_space(agent)", "action_space[agent]")
+        text = str(error)
         for key, agent in self._names.items():
             text = text.replace(repr(agent), repr(key))
         keys = {agent: key for key, agent in self._names.items()}

@@ -7,7 +7,7 @@ import warnings
 import gymnasium
 import pettingzoo
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo.errors import ConfigError
 from stkzoo.views import SHIPPED, VIEWS, ViewFactory, find_view, views
 
@@ -84,8 +84,7 @@ def unregister_view(name: str) -> None:
         ConfigError: no view has that name, or the view is built in.
     """
     _refuse_shipped(name, "it stays")
-    if name not in VIEWS:
-        raise unknown_name("view of yours", name, VIEWS.keys() - _SHIPPED)
+    check_name("registered view", name, VIEWS.keys() - _SHIPPED)
     del VIEWS[name]
     gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None)
 

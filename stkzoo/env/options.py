@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from stkzoo._checks import check_number, check_whole, unknown_name
+from stkzoo._checks import check_flag, check_number, check_whole, unknown_name
 from stkzoo.config import NORMAL, AgentSpec, check_mode
 from stkzoo.env.starts import read_start
 from stkzoo.errors import ConfigError
@@ -90,15 +90,14 @@ class RaceOptions:
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
         check_mode(self.mode)
-        if not isinstance(self.events, bool):
-            raise ConfigError(f"events is {self.events!r}, expected True or False")
+        check_flag("events", self.events)
         if self.reverse is not None and not isinstance(self.reverse, bool):
             raise ConfigError(f"reverse is {self.reverse!r}, expected True, False or None")
         for name in _SECONDS:
             if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), 0.0, unit="seconds")
         check_number("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
-        if isinstance(self.track, Sequence) and not isinstance(self.track, str):
+        if isinstance(self.track, Sequence) and not isinstance(self.track, (str, bytes)):
             object.__setattr__(self, "track", tuple(self.track))
         elif not isinstance(self.track, (str, type(None))):
             raise ConfigError(f"track is {self.track!r}, expected a name, names or None")
@@ -188,10 +187,7 @@ def check_agents(
     for index, agent in enumerate(agents):
         if not isinstance(agent, AgentSpec):
             raise ConfigError(f"agent {index} is {agent!r}, expected an AgentSpec")
-        if not isinstance(agent.use_ai, (bool, int, np.bool_)):
-            raise ConfigError(
-                f"use_ai of agent {index} is {agent.use_ai!r}, expected True or False"
-            )
+        check_flag(f"use_ai of agent {index}", agent.use_ai)
         if agent.rank_start is not None:
             check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
         check_number(f"color of agent {index}", agent.color, 0.0, 1.0)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
-from stkzoo._checks import check_arguments, check_number, check_whole
+from stkzoo._checks import check_arguments, check_flag, check_number, check_whole
 from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
@@ -374,9 +374,7 @@ def _specs(
 
 
 def _session(assets: Assets, use_subprocess: bool, timeout: float) -> Session:
-    if not isinstance(use_subprocess, (bool, int, np.bool_)):
-        raise ConfigError(f"use_subprocess is {use_subprocess!r}, expected True or False")
-    if not use_subprocess:
+    if not check_flag("use_subprocess", use_subprocess):
         return LocalSession(assets.root)
     if can_fork():
         start_fork_server(assets.root)  # the game starts while the program goes on

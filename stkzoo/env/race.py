@@ -77,6 +77,7 @@ class Race:
         rendering: as above.
         cameras: as above.
         opponents: as above.
+        is_copy: whether the environment is a copy, which never has the race of its original.
         has_rows: whether the kernel writes all observations as rows of arrays
             (:meth:`finish_into`).
         is_compiled: whether the kernel runs all wrappers of all agents.
@@ -102,7 +103,7 @@ class Race:
         self.ai_agents = self._agents_of_ai()
         self.agents: list[str] = []
         self.episode: Episode | None = None
-        self.turn = CallTurn()
+        self.turn, self.is_copy = CallTurn(), False
         self.new_session, self.session = new_session, new_session()
         self.starts: AheadStarts | RepeatedStarts | None = None
         self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
@@ -122,7 +123,8 @@ class Race:
             ApiOrderError: no race has started.
         """
         if self.episode is None:
-            raise ApiOrderError(f"{method}() before reset(); call reset() first")
+            why = "; a copy starts without a race, only clone() keeps it" if self.is_copy else ""
+            raise ApiOrderError(f"{method}() before reset(); call reset() first{why}")
         return self.episode
 
     # ------------------------------------------------------------------ start and end

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name, unknown_name
 from stkzoo._os import check_display, display_problem
 from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.env.episode import Episode
@@ -136,8 +136,7 @@ def check_render_mode(mode: str | None, backend: str) -> None:
         raise ConfigError(
             f"render_mode is {mode!r}, expected None or one of {', '.join(RENDER_MODES)}"
         )
-    if not (isinstance(backend, str) and backend in BACKENDS):
-        raise unknown_name("render_backend", backend, BACKENDS)
+    check_name("render_backend", backend, BACKENDS)
     if mode == "human" and backend == "map":
         raise ConfigError(
             'render_mode="human" opens the game\'s window, but render_backend is "map"; use '

@@ -19,6 +19,7 @@ from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.options import known_kart
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.rows import is_of_fixed_size
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.rewards import RewardOver
 
 
@@ -92,6 +93,8 @@ def make_stkrace_vec(
     for name in vec_kwargs:
         if name not in known:
             raise unknown_argument(name, known)
+    if not isinstance(env_kwargs, (Mapping, type(None))):
+        raise ConfigError(f"env_kwargs is {env_kwargs!r}, expected a dict of keyword arguments")
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:

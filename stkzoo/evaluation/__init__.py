@@ -139,3 +139,4 @@ __all__ = [
     "style_axes",
     "write_report",
 ]
+__dir__ = __all__.copy

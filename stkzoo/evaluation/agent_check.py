@@ -72,6 +72,7 @@ def check_agent(
         True
     """
     adapter = settings.get("adapter")
+    source = str(source)  # it may be a Path
     path = source.rpartition("@:")[0] if "@:" in source else source
     try:
         files = find_files(path)

@@ -69,3 +69,4 @@ __all__ = [
     "trace_roads",
     "write_racing_view",
 ]
+__dir__ = __all__.copy

@@ -18,3 +18,4 @@ __all__ = [
     "rewards",
     "rotation_matrices",
 ]
+__dir__ = __all__.copy

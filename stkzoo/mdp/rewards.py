@@ -24,8 +24,8 @@ from numbers import Real
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import unknown_name
-from stkzoo.errors import ConfigError
+from stkzoo._checks import check_name, shortened
+from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.kernel import reward_term
 from stkzoo.mdp.transition import Transition
 
@@ -78,22 +78,25 @@ class Reward:
         weights: weights by name; the default weight is 1.
 
     Raises:
-        ConfigError: a term is not callable, or a weight is not finite or has no term.
+        ConfigError: a name is not text, a term is not callable, or a weight is not finite or has no
+            term.
     """
 
     terms: Mapping[str, RewardTerm]
     weights: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for part in ("terms", "weights"):
+            if not isinstance(getattr(self, part), Mapping):
+                raise ConfigError(f"{part} is {getattr(self, part)!r}, expected a dict by name")
         for name, term in self.terms.items():
-            if not callable(term):
+            if not isinstance(name, str) or not callable(term):
                 raise ConfigError(
-                    f"reward term {name!r} is {term!r}, expected a function of a Transition "
-                    "that returns (K,) floats"
+                    f"reward term {name!r} is {term!r}, expected a name and a function of a "
+                    "Transition that returns (K,) floats"
                 )
         for name, weight in self.weights.items():
-            if name not in self.terms:
-                raise unknown_name("reward term", name, self.terms)
+            check_name("reward term", name, self.terms)
             if not isinstance(weight, Real) or not np.isfinite(float(weight)):
                 raise ConfigError(
                     f"weight of reward term {name!r} is {weight!r}, expected a finite number"
@@ -114,17 +117,18 @@ class Reward:
             ConfigError: the term failed, or returned other values than K finite numbers.
         """
         try:
-            value = np.asarray(self.terms[name](step), np.float64)
+            returned = self.terms[name](step)
+            value = np.asarray(returned)
         except Exception as error:
+            label = "" if isinstance(error, StkzooError) else f"{type(error).__name__}: "
+            raise ConfigError(f"reward term {name!r} failed: {label}{error}") from error
+        is_real, shape = value.dtype.kind in "biuf", (step.num_kart,)
+        if value.shape != shape or not is_real or not np.isfinite(value).all():
             raise ConfigError(
-                f"reward term {name!r} failed: {type(error).__name__}: {error}"
-            ) from error
-        if value.shape != (step.num_kart,) or not np.isfinite(value).all():
-            raise ConfigError(
-                f"reward term {name!r} returned {value!r}, expected {step.num_kart} finite "
-                "numbers, one per kart"
+                f"reward term {name!r} returned {shortened(returned)}, expected an array of shape "
+                f"{shape}: a finite number for each kart"
             )
-        return value * self.weights[name] if name in self.weights else value
+        return value.astype(np.float64) * self.weights.get(name, 1.0)
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """Returns a copy with changed weights (numbers) and added or replaced terms (functions).
@@ -187,12 +191,11 @@ def as_reward(choice: object, default: str = "race") -> Reward:
     if isinstance(choice, Reward):
         return choice
     if isinstance(choice, str):
-        if choice not in REWARDS:
-            raise unknown_name("reward", choice, REWARDS)
+        check_name("reward", choice, REWARDS)
         return REWARDS[choice]
     if isinstance(choice, Mapping):
         return REWARDS[default].adapted(choice)
     raise ConfigError(
-        f"reward is {choice!r}, expected one of {', '.join(REWARDS)}, a mapping from terms to "
-        "weights or functions, a Reward, or a mapping from agents to these"
+        f"reward is {shortened(choice, 40)}, expected one of {', '.join(REWARDS)}, a Reward, a "
+        "dict of weights and functions such as {'time': 0.5, 'mine': function}, or a dict by agent"
     )

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.events import EVENTS
@@ -71,8 +71,7 @@ class Transition:
         Raises:
             ConfigError: the event does not exist, or the environment does not count events.
         """
-        if name not in EVENTS:
-            raise unknown_name("event", name, EVENTS)
+        check_name("event", name, EVENTS)
         if self.event_counts is None:
             raise ConfigError("events are not counted; make the environment with events=True")
         return np.array(self.event_counts[:, EVENTS.index(name)])

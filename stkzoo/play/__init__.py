@@ -11,3 +11,4 @@ from stkzoo.play.game import DatasetWriter, play_race
 from stkzoo.play.screen import PlayScreen
 
 __all__ = ["DatasetWriter", "PlayScreen", "play_race"]
+__dir__ = __all__.copy

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo._os import check_writable
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.errors import ConfigError
@@ -80,14 +80,12 @@ def play_race(
 
 
 def _check(backend: str, rate: int, view: str) -> None:
-    if backend not in BACKENDS:
-        raise unknown_name("backend", backend, BACKENDS)
+    check_name("backend", backend, BACKENDS)
     if rate not in RATES:
         raise ConfigError(
             f"rate is {rate!r}, expected one of {', '.join(map(str, RATES))} steps per second"
         )
-    if view not in VIEWS:
-        raise unknown_name("view", view, VIEWS)
+    check_name("view", view, VIEWS)
 
 
 def _person(screen: PlayScreen, actions: Mapping[Any, Any]) -> ActorMaker:

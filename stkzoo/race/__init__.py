@@ -60,6 +60,7 @@ __all__ = [
     "find_driver",
     "run_race",
 ]
+__dir__ = __all__.copy
 
 # Imported on first use, because they load the environment and the renderer.
 _HOMES = {

@@ -119,8 +119,6 @@ def _check_listeners(listeners: Sequence[RaceListener]) -> None:
 def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
     if isinstance(driver, Driver):
         return driver
-    if not isinstance(driver, str):
-        raise ConfigError(f"a driver is {driver!r}, expected a Driver or its name")
     return find_driver(driver, inline=settings.inline, adapter=settings.adapter)
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from stkzoo._arguments import option
-from stkzoo._checks import check_arguments, check_number, check_whole, unknown_name
+from stkzoo._checks import check_arguments, check_name, check_number, check_whole
 from stkzoo._schema import Level, Whole
 from stkzoo.config import NORMAL, RACE_MODES, check_mode
 from stkzoo.drivers.instances import DriverLimits
@@ -133,8 +133,7 @@ class RaceSettings:
         """
         known = [entry.name for entry in fields(cls) if entry.name not in decided]
         for name in changes:
-            if name not in known:
-                raise unknown_name("setting of a race", name, known)
+            check_name("setting of a race", name, known)
         if not isinstance(settings, RaceSettings | None):
             raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
         return replace(settings or cls(), **changes)

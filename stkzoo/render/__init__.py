@@ -10,3 +10,4 @@ from __future__ import annotations
 from stkzoo.render.palette import race_palette, readable_on
 
 __all__ = ["race_palette", "readable_on"]
+__dir__ = __all__.copy

@@ -19,7 +19,8 @@ try:
     import torch  # noqa: F401
 except ImportError as error:
     raise ImportError(
-        f"stkzoo.sb3 needs Stable-Baselines3 ({error}): {install_command('sb3')}"
+        f"stkzoo.sb3 needs Stable-Baselines3 (extra sb3), which does not load ({error}): "
+        f"{install_command('sb3')}"
     ) from error
 
 from stkzoo.sb3.buffers import ActiveDictRolloutBuffer, ActiveRolloutBuffer
@@ -27,3 +28,4 @@ from stkzoo.sb3.saving import save_agent
 from stkzoo.sb3.vec import RaceVecEnv
 
 __all__ = ["ActiveDictRolloutBuffer", "ActiveRolloutBuffer", "RaceVecEnv", "save_agent"]
+__dir__ = __all__.copy

@@ -14,7 +14,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
-from stkzoo._checks import shortened, unknown_name
+from stkzoo._checks import check_name, shortened
 from stkzoo._os import make_folder, write_text, write_whole
 from stkzoo.errors import ConfigError
 from stkzoo.mdp import kart_action_space
@@ -83,8 +83,7 @@ def save_agent(
         ConfigError: the policy is not supported, the view does not exist or is not that of the
             policy, or the folder has an agent that is not from this function.
     """
-    if view not in VIEWS:
-        raise unknown_name("view", view, VIEWS)
+    check_name("view", view, VIEWS)
     policy = model.policy
     action = _ACTIONS.get(type(model.action_space))
     activation = getattr(getattr(policy, "activation_fn", None), "__name__", "")

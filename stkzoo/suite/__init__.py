@@ -63,3 +63,4 @@ __all__ = [
     "view_of",
     "write_suite_report",
 ]
+__dir__ = __all__.copy

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._checks import check_whole, shortened, unknown_name
+from stkzoo._checks import check_name, check_whole, shortened
 from stkzoo._os import file_digest
 from stkzoo._schema import Count, matching
 from stkzoo.drivers.driver import GAME_AI, find_driver
@@ -228,8 +228,7 @@ def plan_entry(
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
-    if split not in (TEST, TRAIN):
-        raise unknown_name("split", split, (TEST, TRAIN))
+    check_name("split", split, (TEST, TRAIN))
     _check_level(task, agent)
     is_test = split == TEST
     base = plan_benchmark(

@@ -15,7 +15,7 @@ import gymnasium as gym
 import pettingzoo
 from pettingzoo import ParallelEnv
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo._schema import Count, Whole, one_of
 from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.parallel import RaceParallelEnv
@@ -119,8 +119,7 @@ class Task:
             ConfigError: there is no such split.
         """
         tracks = {"train": self.train_tracks, "test": self.test_tracks}
-        if split not in tracks:
-            raise unknown_name("split", split, tracks)
+        check_name("split", split, tracks)
         return {
             "num_kart": self.num_kart,
             "agents": self.learners,
@@ -205,8 +204,7 @@ def find_task(name: str) -> Task:
     Raises:
         ConfigError: there is no such task.
     """
-    if name not in TASKS:
-        raise unknown_name("task", name, TASKS)
+    check_name("task", name, TASKS)
     return TASKS[name]
 
 
@@ -237,8 +235,7 @@ def view_of(env_id: str) -> ViewFactory:
         ConfigError: no task has this id.
     """
     tasks = {id_of(task): task for task in TASKS.values()}
-    if env_id not in tasks:
-        raise unknown_name("env_name", env_id, tasks)
+    check_name("env_name", env_id, tasks)
     return find_view(tasks[env_id].view)
 
 

@@ -40,6 +40,7 @@ __all__ = [
     "views",
     "views_of_agents",
 ]
+__dir__ = __all__.copy
 
 
 class _CallablePackage(ModuleType):

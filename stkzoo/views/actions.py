@@ -24,6 +24,8 @@ from stkzoo.errors import ActionError
 BOUND_TOLERANCE = 1e-6
 #: Unknown keys that an error names, and the most characters of one.
 _MAX_KEYS, _MAX_KEY = 8, 40
+#: Most entries of a list that an error reads.
+_MAX_SHOWN = 1000
 
 
 def read_action(space: spaces.Space[Any], action: object, agent: str, name: str = "action") -> Any:
@@ -94,7 +96,7 @@ def _number_or_array(
         return None
     try:
         array = np.asarray(action)
-    except (TypeError, ValueError, OverflowError, RuntimeError):
+    except Exception:  # noqa: BLE001 - of the action's own code
         return None
     if array.dtype.kind not in "biuf":
         return None
@@ -162,14 +164,22 @@ def _complaint(space: spaces.Space[Any], value: Any, agent: str, name: str) -> s
         for key, part in space.spaces.items():
             if _value(part, value[key]) is None:
                 return _complaint(part, value[key], agent, f"{name}[{key!r}]")
+    if _is_small(value, _MAX_SHOWN):
+        try:
+            np.asarray(value)
+        except Exception as error:  # noqa: BLE001 - of the action's own code
+            text = f"the {name} of agent {agent!r} is {shortened(value, 40)}"
+            return f"{text}; numpy says: {str(error)[:120]}"
     return _sentence(agent, name, value, _expectation(space))
 
 
 def _sentence(agent: str, name: str, value: object, expected: str) -> str:
-    shape = f" of shape {value.shape}" if isinstance(value, np.ndarray) else ""
+    text, shape = shortened(value, 100), getattr(value, "shape", ())
+    if shape and "shape" not in text:
+        text += f" of shape {tuple(shape)}"
     return (
-        f"the {name} of agent {agent!r} is {shortened(value, 100)}{shape}; expected {expected}. "
-        "env.action_space(agent).sample() shows the form."
+        f"the {name} of agent {agent!r} is {text}; expected {expected}. "
+        "A sample of the action space shows the form."
     )
 
 
@@ -184,4 +194,4 @@ def _expectation(space: spaces.Space[Any]) -> str:
         else f"from {_bounds(space)[0]} to {_bounds(space)[1]}"
     )
     count = int(np.prod(space.shape or ()))
-    return f"a {noun} {limits}" if count == 1 else f"{space.shape} {noun}s {limits}"
+    return f"a {noun} {limits}" if count == 1 else f"{noun}s of shape {space.shape} {limits}"

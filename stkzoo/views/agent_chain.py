@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 from gymnasium import spaces
 
+from stkzoo._checks import shortened
 from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
 from stkzoo.views.actions import fit_action, read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
@@ -27,6 +29,8 @@ WrapperFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | N
 # Implementations of step that only call `action`, `observation` or `reward`.
 _ACTING = (gym.ActionWrapper.step, ActionObservationWrapper.step)
 _OBSERVING = (gym.ObservationWrapper.step, ActionObservationWrapper.step)
+#: Types of the parts of a wrapper's results; an observation can have any.
+_TYPES: dict[str, Any] = {"reward": float, "terminated": bool, "truncated": bool, "info": dict}
 _PLAIN_STEPS = (*_ACTING, *_OBSERVING, gym.RewardWrapper.step, gym.Wrapper.step)
 
 
@@ -213,8 +217,9 @@ class AgentChain:
         self._door.first = observation, info
         try:
             with agent_failures(self.agent, "reset"):
-                observation, info = self.env.reset(seed=seed, options=options)
-                return observation, dict(info)
+                result = self.env.reset(seed=seed, options=options)
+                observation, info = _parts_of(result, "observation", "info")
+                return observation, info
         finally:
             self._door.first = None
 
@@ -270,10 +275,10 @@ class AgentChain:
     def finish_step(self, result: AgentStep) -> AgentStep:
         """Runs the part after the race's step; returns the wrapped result."""
         with agent_failures(self.agent, "change the result of a step"):
-            observation, reward, terminated, truncated, info = (
-                self._pass_out(result) if self._is_plain else self._finish_split_step(result)
-            )
-            return observation, float(reward), bool(terminated), bool(truncated), dict(info)
+            wrapped = self._pass_out(result) if self._is_plain else self._finish_split_step(result)
+            names = "observation", "reward", "terminated", "truncated", "info"
+            observation, reward, terminated, truncated, info = _parts_of(wrapped, *names)
+            return observation, reward, terminated, truncated, info
 
     def _pass_out(self, result: AgentStep) -> AgentStep:
         observation, reward, terminated, truncated, info = result
@@ -355,7 +360,7 @@ class AgentChain:
 def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
     """Returns the wrappers from the outermost to the innermost."""
     if not isinstance(env, gym.Env):
-        raise TypeError(f"the factory returned {env!r}; expected the environment, wrapped.")
+        raise TypeError(f"the view returned {shortened(env)}; expected its environment, wrapped")
     wrappers: list[Any] = []
     inner: object = env
     while isinstance(inner, gym.Wrapper):
@@ -363,10 +368,30 @@ def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
         inner = inner.env
     if inner is not mono:
         raise TypeError(
-            f"the factory returned {env!r}, which does not lead to the environment that it was "
-            "given. Wrap that one and return the outermost wrapper."
+            f"the view returned {shortened(env, 40)}, which does not wrap its environment; wrap "
+            "the one that it gets"
         )
     return tuple(wrappers)
+
+
+def _parts_of(result: object, *names: str) -> list[Any]:
+    """Returns the parts of what a wrapper's ``reset`` or ``step`` returned, in plain types.
+
+    Raises:
+        TypeError: they are missing or invalid.
+    """
+    if not isinstance(result, (tuple, list)) or len(result) != len(names):
+        raise TypeError(f"they returned {shortened(result, 40)}, expected ({', '.join(names)})")
+    parts = []
+    for name, value in zip(names, result, strict=True):
+        try:
+            part = _TYPES[name](value) if name in _TYPES else value
+        except (TypeError, ValueError):
+            part = None
+        if part is None or (name == "reward" and not math.isfinite(part)):
+            raise TypeError(f"they returned {shortened(value)} as {name}")
+        parts.append(part)
+    return parts
 
 
 def _has_plain_step(wrapper: gym.Wrapper[Any, Any, Any, Any]) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.agent_names import require_actions
+from stkzoo.agent_names import actions_by_agent
 from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController, new_batch, split_batch
 from stkzoo.mdp.spaces import as_actions
@@ -258,7 +258,7 @@ class AgentChains:
             if not group.kernel.reader.read(actions, group.seats.agents, group.seats.rows, controls)
         ]
         if unread or roster.walked:
-            require_actions(actions, seats.agents, self._ignored)
+            actions = actions_by_agent(actions, seats.agents, self._ignored)
             for group in unread:
                 agents, rows = group.seats.agents, group.seats.rows
                 usual = {a: self._chains[a].read_action(actions[a]) for a in agents}

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 from gymnasium import spaces
 
-from stkzoo._checks import shortened, unknown_name
+from stkzoo._checks import check_name, shortened
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import EXTRAS, extras_of, kart_observation_space
@@ -152,15 +152,13 @@ def find_view(choice: object) -> ViewFactory:
         return _with_options(find_view(choice[0]), choice[1])
     if isinstance(choice, str):
         known = views()
-        if choice not in known:
-            raise unknown_name("view", choice, known)
+        check_name("view", choice, known)
         return known[choice]
     if callable(choice):
         return choice
     raise ConfigError(
-        f"view is {shortened(choice, 200)}, expected one of {', '.join(VIEWS)}, a function that "
-        "wraps a gym.Env, a pair such as ('simple', {'state_items': 3}), or a mapping from agents "
-        "to these"
+        f"view is {shortened(choice, 40)}, expected a name in stkzoo.views(), a function that "
+        "wraps a gym.Env, a pair such as ('simple', {'state_items': 3}), or a dict by agent"
     )
 
 
@@ -195,6 +193,5 @@ def _with_options(view: ViewFactory, options: object) -> ViewFactory:
     for name in options:
         if not known:
             raise ConfigError(f"the {view.name} view has no options; {name!r} came")
-        if name not in known:
-            raise unknown_name(f"option of the {view.name} view", name, known)
+        check_name("option", name, known, f" of the {view.name} view")
     return replace(view, options={**view.options, **options})

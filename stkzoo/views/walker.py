@@ -9,6 +9,7 @@ from typing import Any, TypeAlias, cast
 from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo._checks import shortened
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import AgentException, ConfigError
 from stkzoo.views.agent_chain import AgentChain
@@ -62,8 +63,8 @@ class ChainWalker:
     ) -> None:
         if observation_spaces.keys() != action_spaces.keys():
             raise ConfigError(
-                f"observations are for agents {', '.join(observation_spaces)}, but actions for "
-                f"{', '.join(action_spaces)}; expected the same agents."
+                f"observations are for {shortened([*observation_spaces])}, but actions for "
+                f"{shortened([*action_spaces])}; expected an environment of several agents"
             )
         chosen = by_agent(factories, observation_spaces)
         views = {agent: find_view(view) for agent, view in chosen.items() if view is not None}

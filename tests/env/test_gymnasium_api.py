@@ -196,7 +196,7 @@ def test_an_agent_can_be_a_mapping_as_in_yaml():
         assert env.unwrapped.specs == [AgentSpec(**fields), AgentSpec()]
         assert env.unwrapped.race.kart_indices[0] == 0
     assert stkzoo.STKRaceEnv(agent=fields).agent == AgentSpec(**fields)
-    with pytest.raises(ConfigError, match=r"unknown field of agent 1 'nam'. Did you mean 'name'"):
+    with pytest.raises(ConfigError, match=r"unknown field 'nam' of agent 1. Did you mean 'name'"):
         race_v0.parallel_env(agents=[{}, {"nam": "Ann"}])
 
 

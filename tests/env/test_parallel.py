@@ -103,7 +103,7 @@ def test_the_keys_of_the_agents_dict_are_the_agents_names():
         good = env.action_space.sample()
         bad = {**good, "2": {**good["2"], "brake": 7}}
         for actions, text in (
-            (bad, r"agent '2' is 7; .* env.action_space\[agent\]"),
+            (bad, "agent '2' is 7; expected a whole number"),
             (
                 {key: good[key] for key in "01"},
                 "no action for agent '2'; actions came for '0', '1'",
@@ -113,7 +113,9 @@ def test_the_keys_of_the_agents_dict_are_the_agents_names():
                 env.step(actions)
             assert caught.value.agent == "2"
             assert "kart_" not in str(caught.value)
-        with pytest.raises(ActionError, match="have to be a dict by agent: 0, 1, 2"):
+        with pytest.raises(
+            ActionError, match="expected a dict with an action for each of '0', '1', '2'"
+        ):
             env.step([good["0"]])
 
 

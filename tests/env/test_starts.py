@@ -191,7 +191,7 @@ def test_starts_work_in_this_process_and_with_gymnasium():
         (True, "start is True"),
         ({}, "empty mapping"),
         (float("nan"), "distance of a start is nan"),
-        ({"distanc": 3.0}, "unknown field of a start 'distanc'. Did you mean 'distance'"),
+        ({"distanc": 3.0}, "unknown field 'distanc' of a start. Did you mean 'distance'"),
         ({"share": [0.5, 0.2]}, r"expected \(lowest, highest\)"),
     ],
 )

@@ -138,7 +138,7 @@ def test_an_agent_that_is_named_twice_is_refused(form):
 @pytest.mark.parametrize(
     ("view", "message"),
     [
-        (3, "view is 3, expected one of full"),
+        (3, "view is 3, expected a name"),
         (("simple", {"state_itmes": 3}), "Did you mean 'state_items'"),
     ],
 )

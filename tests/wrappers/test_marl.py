@@ -303,7 +303,7 @@ def test_an_invalid_message_is_refused_before_the_race_advances():
         before = inner.snapshot.karts.tobytes()
         with pytest.raises(ActionError, match="message of agent 'kart_1' is 2"):
             env.step(say(env, {"kart_0": 0, "kart_1": 2}))
-        with pytest.raises(ActionError, match="has to be a dict of 'action' and 'message'"):
+        with pytest.raises(ActionError, match="expected a dict of 'action' and 'message'"):
             env.step({"kart_0": 4, "kart_1": 4})
         with pytest.raises(ActionError, match="dict by agent: kart_0, kart_1; found None"):
             env.step(None)

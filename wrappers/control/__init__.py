@@ -34,3 +34,4 @@ __all__ = [
     "SteeringSpeedAction",
     "from_single_to_multi_action_space",
 ]
+__dir__ = __all__.copy

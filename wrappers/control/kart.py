@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import check_arguments, check_number, unknown_name
+from stkzoo._checks import check_arguments, check_name, check_number
 from stkzoo.errors import ConfigError
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -138,8 +138,7 @@ class CarParameters:
                 f"params is {value!r}, expected CarParameters or a mapping of its fields"
             )
         kart = kart or "tux"
-        if kart not in KARTS:
-            raise unknown_name("kart", kart, KARTS)
+        check_name("kart", kart, KARTS)
         wheel_base, s_max = KARTS[kart]
         values = {"wheel_base": wheel_base, "s_max": s_max, **(value or {})}
         lowest = {name: values.pop(name) for name in ("s_min", "sv_min") if name in values}

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo._checks import check_flag, check_number, unknown_name
+from stkzoo._checks import check_flag, check_name, check_number
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
@@ -150,8 +150,7 @@ def _checked_buttons(buttons: object) -> tuple[str, ...]:
     if isinstance(buttons, str) or not isinstance(buttons, Sequence):
         raise ConfigError(f"buttons is {buttons!r}, expected some of {', '.join(BUTTONS)}")
     for button in buttons:
-        if button not in BUTTONS:
-            raise unknown_name("button", button, BUTTONS)
+        check_name("button", button, BUTTONS)
     return tuple(button for button in BUTTONS if button in buttons)
 
 

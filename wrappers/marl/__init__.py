@@ -6,11 +6,13 @@
 
 from stkzoo.wrappers.marl.messages import MessageChannel
 from stkzoo.wrappers.marl.observations import ActionMasks, PartialObservations
-from stkzoo.wrappers.marl.teams import Teams
+from stkzoo.wrappers.marl.teams import MATE_FEATURES, Teams
 
 __all__ = [
+    "MATE_FEATURES",
     "ActionMasks",
     "MessageChannel",
     "PartialObservations",
     "Teams",
 ]
+__dir__ = __all__.copy

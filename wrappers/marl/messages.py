@@ -13,8 +13,8 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo._checks import check_number, check_whole
-from stkzoo.agent_names import of_agent, require_actions
+from stkzoo._checks import check_number, check_whole, shortened
+from stkzoo.agent_names import actions_by_agent, of_agent
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.views.actions import read_action
 from stkzoo.views.walker import StepParts
@@ -103,21 +103,20 @@ class MessageChannel(ClonableWrapper):
         Raises:
             ActionError: a message is missing or invalid; the race has not advanced.
         """
-        require_actions(actions, self.env.agents)
-        said = {agent: self._message(agent, actions) for agent in self.env.agents}
-        bare = {agent: action["action"] for agent, action in actions.items() if agent in said}
+        actions = actions_by_agent(actions, self.env.agents)
+        said = {agent: self._message(agent, action) for agent, action in actions.items()}
+        bare = {agent: action["action"] for agent, action in actions.items()}
         observations, rewards, terminations, truncations, infos = self.env.step(bare)
         # For agents that are truncated, the race would go on, so they still hear each other.
         self._said = {a: message for a, message in said.items() if not terminations.get(a)}
         return self._with_messages(observations), rewards, terminations, truncations, infos
 
-    def _message(self, agent: str, actions: Mapping[str, Any]) -> Message:
-        action = actions.get(agent)
+    def _message(self, agent: str, action: object) -> Message:
         parts = action if isinstance(action, Mapping) else {}
         if not {"action", "message"} <= set(parts):
             raise ActionError(
-                f"the action of {agent!r} has to be a dict of 'action' and 'message', but is "
-                f"{action!r:.200}",
+                f"the action of agent {agent!r} is {shortened(action)}; expected a dict of "
+                "'action' and 'message'",
                 agent,
             )
         said = read_action(self._message_space, parts["message"], agent, "message")

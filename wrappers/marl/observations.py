@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo._checks import check_number, unknown_name
+from stkzoo._checks import check_name, check_number
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import (
@@ -157,8 +157,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
         self.radius = check_number("radius", radius, is_finite=False)
         self.angle = check_number("angle", angle, is_finite=False)
         for name in of:
-            if name not in _SEEN:
-                raise unknown_name("thing to see", name, _SEEN)
+            check_name("thing to see", name, _SEEN)
         motion = MOTION if "motion" in extras_of(space) else ()
         self._groups = [(*_SEEN[name], *(motion if name == "karts" else ())) for name in of]
         for key in (key for group in self._groups for key in group):

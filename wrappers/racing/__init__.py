@@ -54,3 +54,4 @@ __all__ = [
     "road_observer",
     "surroundings_of",
 ]
+__dir__ = __all__.copy

@@ -37,16 +37,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from stable_baselines3 import PPO
-from stable_baselines3.common.logger import Logger
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.mlp import HOLD
 from stkzoo.errors import ConfigError
-from stkzoo.sb3 import ActiveRolloutBuffer
+
+try:
+    from stkzoo.sb3 import ActiveRolloutBuffer
+except ImportError as error:
+    if __name__ == "__main__":
+        sys.exit(f"error: {error}")
+    raise
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 
 from ..common.arguments import (
     Coefficient,

@@ -29,3 +29,4 @@ __all__ = [
     "pack",
     "survey",
 ]
+__dir__ = __all__.copy

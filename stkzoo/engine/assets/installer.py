@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo._reading import is_there
 from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
 from stkzoo.engine.assets.find import (
@@ -58,8 +58,7 @@ def install(
         ConfigError: ``source`` is unknown.
         AssetError: the installation failed. No incomplete data remains.
     """
-    if source not in SOURCES:
-        raise unknown_name("source of the game's data", source, SOURCES)
+    check_name("source of the game's data", source, SOURCES)
     progress = progress or Progress()
     if archive is not None:
         if not archive.is_file():

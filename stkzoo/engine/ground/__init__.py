@@ -8,3 +8,4 @@ from stkzoo.engine.ground.columns import Ground, Spots, ground_of
 from stkzoo.engine.ground.scenery import Faces, read_scenery
 
 __all__ = ["Faces", "Ground", "Spots", "ground_of", "read_scenery"]
+__dir__ = __all__.copy

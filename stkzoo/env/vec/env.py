@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo._checks import check_whole
+from stkzoo._checks import check_whole, shortened
 from stkzoo._os import cpu_count
 from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
@@ -381,16 +381,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         names = self._names
         try:
             singles = list(iterate(self.action_space, actions))
-        except (TypeError, LookupError, ValueError) as error:
+        except (AttributeError, TypeError, LookupError, ValueError):
+            singles = []
+        if isinstance(actions, str) or len(singles) != len(names):
             raise ActionError(
-                f"the actions are {actions!r}, expected a batch for {len(names)} slots in the form "
-                f"of {self.action_space}",
-                names[0],
-            ) from error
-        if len(singles) != len(names):
-            raise ActionError(
-                f"{len(singles)} actions came for {len(names)} slots ({names[0]} to {names[-1]}); "
-                "send one for each slot, including idle ones",
+                f"the actions are {shortened(actions)}; expected one for each of {len(names)} "
+                f"slots ({names[0]} to {names[-1]}), idle ones included",
                 names[0],
             )
         return singles

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._checks import shortened
 from stkzoo.env.episode import EndArrays, InfoTable
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import new_batch
@@ -52,8 +53,18 @@ class SlotSteps:
         self.finals: dict[int, tuple[Any, dict[str, Any]]] = {}
 
     def show(self, slot: int, observation: Any, info: dict[str, Any]) -> None:
-        """Writes an observation and an info for a slot."""
-        write_rows(self.observations, np.array([slot]), observation)
+        """Writes an observation and an info for a slot.
+
+        Raises:
+            ConfigError: the observation, which a wrapper returned, is not in its space.
+        """
+        try:
+            write_rows(self.observations, np.array([slot]), observation)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            raise ConfigError(
+                f"the observation of slot {slot} is {shortened(observation)}, which is not in its "
+                "space; correct the wrapper that returned it"
+            ) from error
         self.infos.set(slot, info)
 
     def complete(self, idle: npt.NDArray[np.intp], observation: Any) -> None:
@@ -141,8 +152,8 @@ def shared_space(by_agent: Mapping[str, spaces.Space[Any]], purpose: str) -> spa
     first, *others = by_agent.values()
     if any(space != first for space in others):
         raise ConfigError(
-            f"the agents differ in their {purpose} spaces: {dict(by_agent)}; give all "
-            "agents the same view, and use_ai to all of them or to none"
+            f"the agents differ in their {purpose} spaces; give all agents the same view, and "
+            "use_ai to all of them or to none"
         )
     if not is_of_fixed_size(first):
         raise ConfigError(

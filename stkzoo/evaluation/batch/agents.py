@@ -107,6 +107,7 @@ def find_agents(
         check_level(driver, settings)
         if driver.is_from_files and not settings.inline:
             say_what_is_missing(settings.sandbox)
+        text = str(text)  # it may be a Path
         is_fixed = NAME_MARK in text or driver.is_game_ai
         labels.append(_unique(_name_of(text, driver), labels, is_fixed=is_fixed, text=text))
         entries.append(BatchAgent.of(labels[-1], _lasting(driver.source)))

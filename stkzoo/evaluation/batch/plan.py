@@ -224,9 +224,9 @@ def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[st
         ConfigError: a track does not exist, or the settings are invalid.
         AssetError: the game's data is missing.
     """
-    names = [tracks] if isinstance(tracks, str) else list(tracks)
-    if not names:
-        raise ConfigError("tracks is empty, expected at least one name")
+    names = [tracks] if isinstance(tracks, str) else tracks
+    if not isinstance(names, Sequence) or not names:
+        raise ConfigError(f"tracks is {names!r}, expected at least one name")
     known = find_assets().tracks
     shared = ("laps", "difficulty", "reverse", "mode", "max_paths")
     options = {name: getattr(settings, name) for name in shared}

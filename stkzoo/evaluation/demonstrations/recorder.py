@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_name
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import (
@@ -47,8 +47,7 @@ class DemoView:
     """
 
     def __init__(self, name: str) -> None:
-        if name not in VIEWS:
-            raise unknown_name("view", name, VIEWS)
+        check_name("view", name, VIEWS)
         if extras_for(VIEWS[name]):
             raise ConfigError(
                 f"view {name!r} shows the ground, which recordings do not have; record in racing, "

@@ -153,7 +153,7 @@ def plan_tournament(
         AssetError: the game's data is missing.
     """
     served, access = ask_servers(servers)
-    if isinstance(agents, str):
+    if isinstance(agents, str) or not isinstance(agents, Sequence):
         raise ConfigError(f"agents is {shortened(agents, 80)}, expected a list of at least two")
     if (count := len(agents) + len(served)) < 2:
         raise ConfigError(

@@ -37,3 +37,4 @@ __all__ = [
     "read_secret",
     "read_servers",
 ]
+__dir__ = __all__.copy

@@ -42,3 +42,4 @@ __all__ = [
     "recorded_driver",
     "save_replay",
 ]
+__dir__ = __all__.copy

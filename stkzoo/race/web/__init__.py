@@ -14,3 +14,4 @@ from stkzoo.race.web.control import SPEEDS
 from stkzoo.race.web.page import LivePage, RaceBroadcast
 
 __all__ = ["SPEEDS", "LivePage", "RaceBroadcast"]
+__dir__ = __all__.copy
