@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo._checks import check_whole
+from stkzoo._checks import check_whole, shortened
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 
@@ -50,7 +50,7 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
         for key, part in rest.items():
             if not isinstance(part, spaces.Discrete):
                 raise ConfigError(
-                    f"OnlyContinuousActionsWrapper cannot release {key!r}, which is {part!r:.200}. "
+                    f"OnlyContinuousActionsWrapper cannot release {key!r}: {shortened(part)}. "
                     "Put it inside the wrappers that flatten, not around them."
                 )
         self.discrete_actions = spaces.Dict(rest)
@@ -103,7 +103,7 @@ class Discretizer:
 
     def __init__(self, space: spaces.Space[Any], values: int) -> None:
         if not isinstance(space, spaces.Box) or space.shape != (1,) or not space.is_bounded():
-            raise ConfigError(f"steps need a bounded Box of shape (1,), found {space!r:.200}")
+            raise ConfigError(f"steps need a bounded Box of shape (1,), found {shortened(space)}")
         self.values = check_whole("number of steps", values, 2)
         self.min_value = float(space.low[0])
         self.max_value = float(space.high[0])
@@ -212,7 +212,7 @@ class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
         if not isinstance(space, spaces.MultiDiscrete) or space.nvec.ndim != 1:
             raise ConfigError(
                 "FlattenMultiDiscreteActions needs a MultiDiscrete action space. Put "
-                f"DiscreteActionsWrapper and FlattenerWrapper inside it. Found {space!r:.200}"
+                f"DiscreteActionsWrapper and FlattenerWrapper inside it. Found {shortened(space)}"
             )
         self.nvec: npt.NDArray[np.int64] = space.nvec.astype(np.int64)
         self._start: npt.NDArray[np.int64] = space.start.astype(np.int64)

@@ -12,7 +12,7 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo._checks import check_arguments
+from stkzoo._checks import check_arguments, shortened
 from stkzoo._left_out import LeftOutNames
 from stkzoo.agent_names import actions_by_agent, of_agent
 from stkzoo.errors import ConfigError
@@ -255,7 +255,7 @@ def _checked_factories(factories: object) -> dict[Any, Any]:
     if not isinstance(factories, Mapping):
         raise ConfigError(
             'wrapper_factories has to be a mapping from agents to views, such as {"0": "simple"}, '
-            f"but is {factories!r:.200}"
+            f"but is {shortened(factories)}"
         )
     return dict(factories)
 
@@ -271,7 +271,7 @@ def _with_step_size(options: Mapping[str, Any] | None, env: Any) -> dict[str, An
 
 def _spaces_by_agent(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
     if not isinstance(space, spaces.Dict):
-        raise ConfigError(f"expected a Dict space by agent, found {space!r:.200}")
+        raise ConfigError(f"expected a Dict space by agent, found {shortened(space)}")
     return dict(space.spaces)
 
 

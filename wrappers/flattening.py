@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo._checks import check_flag
+from stkzoo._checks import check_flag, shortened
 from stkzoo._left_out import LeftOutNames
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
@@ -62,7 +62,7 @@ class SpaceFlattener(LeftOutNames):
                 raise ConfigError(_cannot_flatten(key, part))
         if not boxes and not choices:
             raise ConfigError(
-                f"nothing to flatten; expected numbers or choices, found {space!r:.200}"
+                f"nothing to flatten; expected numbers or choices, found {shortened(space)}"
             )
         self.continuous_keys, self.discrete_keys = list(boxes), list(choices)
         self.only_continuous, self.only_discrete = not choices, not boxes

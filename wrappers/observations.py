@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo._checks import check_flag, check_whole
+from stkzoo._checks import check_flag, check_whole, shortened
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import to_polar
 from stkzoo.mdp.spaces import extras_of
@@ -218,7 +218,7 @@ def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Sp
         return type(entry)(low, high, dtype=np.float32)
     raise ConfigError(
         f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}. Use it around "
-        f"the full view, and only once. Found {space!r:.200}"
+        f"the full view, and only once. Found {shortened(space)}"
     )
 
 

@@ -21,6 +21,7 @@ from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from stkzoo import Phase, RaceVectorEnv
+from stkzoo._checks import shortened
 from stkzoo.errors import ConfigError
 from stkzoo.mdp import action_of, as_actions
 from stkzoo.views import View
@@ -140,7 +141,7 @@ class PlanSurroundings(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         super().__init__(env)
         space = env.observation_space
         if not isinstance(space, spaces.Dict) or "paths_start" not in space.spaces:
-            raise ConfigError(f"plans need the view 'full' or 'ground', found {space!r:.200}")
+            raise ConfigError(f"plans need the view 'full' or 'ground', found {shortened(space)}")
         self._sees_line = "ground_line" in space.spaces
         self.observation_space = _surroundings_space(self._sees_line)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 import gymnasium as gym
 from gymnasium import spaces
 
+from stkzoo._checks import shortened
 from stkzoo._left_out import LeftOutNames
 from stkzoo.errors import ConfigError
 
@@ -141,6 +142,6 @@ def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict
     if not isinstance(space, spaces.Dict):
         raise ConfigError(
             f"{wrapper} needs {what} in a Dict space. Put it inside the wrappers that flatten, not "
-            f"around them. Found {space!r:.200}"
+            f"around them. Found {shortened(space)}"
         )
     return space

@@ -63,8 +63,8 @@ class ChainWalker:
     ) -> None:
         if observation_spaces.keys() != action_spaces.keys():
             raise ConfigError(
-                f"observations are for {shortened([*observation_spaces])}, but actions for "
-                f"{shortened([*action_spaces])}; expected an environment of several agents"
+                f"observations are for {shortened([*observation_spaces], 40)}, but actions for "
+                f"{shortened([*action_spaces], 40)}; expected an environment of several agents"
             )
         chosen = by_agent(factories, observation_spaces)
         views = {agent: find_view(view) for agent, view in chosen.items() if view is not None}

@@ -305,7 +305,7 @@ def test_an_invalid_message_is_refused_before_the_race_advances():
             env.step(say(env, {"kart_0": 0, "kart_1": 2}))
         with pytest.raises(ActionError, match="expected a dict of 'action' and 'message'"):
             env.step({"kart_0": 4, "kart_1": 4})
-        with pytest.raises(ActionError, match="dict by agent: kart_0, kart_1; found None"):
+        with pytest.raises(ActionError, match="the actions are None; expected a dict"):
             env.step(None)
         assert inner.snapshot.karts.tobytes() == before
 

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo._checks import check_flag, check_name, check_number
+from stkzoo._checks import check_flag, check_name, check_number, shortened
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
@@ -159,7 +159,7 @@ def _check_actions(space: spaces.Dict) -> None:
     if set(space.spaces) != keys or not isinstance(space["acceleration"], spaces.Box):
         raise ConfigError(
             f"ControlWrapper needs the game's own actions ({', '.join(sorted(keys))}). Put it "
-            f"around full or simple, not around other actions. Found {space!r:.200}"
+            f"around full or simple, not around other actions. Found {shortened(space)}"
         )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo._checks import check_name, check_number
+from stkzoo._checks import check_name, check_number, shortened
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import (
@@ -58,7 +58,7 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         ):
             raise ConfigError(
                 "ActionMasks wraps flattened_multidiscrete or flattened_discrete. Found "
-                f"observations {space!r:.200} and actions {env.action_space!r:.200}"
+                f"observations {shortened(space)} and actions {env.action_space!r:.200}"
             )
         inner: Any = flattener.env.observation_space
         keys = flattener.observation_flattener

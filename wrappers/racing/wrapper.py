@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._checks import shortened
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import look_around, observe_racing, write_racing_view
@@ -71,7 +72,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         ):
             raise ConfigError(
                 "RacingObservations needs the full view. Put it inside all other wrappers. "
-                f"Found {space!r:.200}"
+                f"Found {shortened(space)}"
             )
         refuse_polar(space, "RacingObservations", "not around PolarObservations")
         vector = spaces.Box(-5.0, 5.0, (SIZE,), np.float32)
@@ -208,7 +209,7 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
         if set(space.spaces) != set(CONTROLS) or not isinstance(space["steer"], spaces.Box):
             raise ConfigError(
                 "RacingActions needs the game's own actions. Put it around the full view. "
-                f"Found {space!r:.200}"
+                f"Found {shortened(space)}"
             )
         self._change_action_space(spaces.MultiDiscrete(np.array(CHOICES)))
 

@@ -99,12 +99,19 @@ def other_versions(replay: Replay) -> str:
 
     Another version may be why a race differs.
     """
+    _check_replay(replay)
     here = versions_now()
     others = (name for name, version in here.items() if replay.versions.get(name) != version)
     return ", ".join(f"{name} {here[name]}" for name in others)
 
 
+def _check_replay(replay: object) -> None:
+    if not isinstance(replay, Replay):
+        raise ConfigError(f"the replay is {replay!r}, expected a Replay from load_replay(path)")
+
+
 def _check_engine(replay: Replay, any_engine: bool) -> None:
+    _check_replay(replay)
     recorded, here = replay.versions.get("pystk2"), versions_now()["pystk2"]
     if recorded != here and not any_engine:
         raise ReplayError(
