@@ -127,7 +127,7 @@ class InlineAgent:
             AgentError: the action is invalid.
         """
         try:
-            return self._chain.begin_base_step(self._chain.read_action(action))
+            return self._chain.begin_step(self._chain.read_action(action))
         except ActionError as error:
             details = (
                 f"the agent returned: {shortened(action, _MAX_VALUE)}\n"

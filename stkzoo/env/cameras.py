@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
-
-import gymnasium as gym
+from typing import TYPE_CHECKING
 
 from stkzoo.engine.setup import MAX_CAMERAS
 from stkzoo.engine.snapshot import Snapshot
@@ -16,8 +14,10 @@ from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.names import CameraMode
 from stkzoo.render.renderer import RaceRenderer
 from stkzoo.render.scene import Scene
-from stkzoo.views import ViewFactory
 from stkzoo.wrappers.camera import Camera, CameraKind, Shot
+
+if TYPE_CHECKING:
+    from stkzoo.env.race import Race
 
 
 class RaceCameras:
@@ -25,21 +25,19 @@ class RaceCameras:
 
     Args:
         agents: ids of all agents.
-        present: returns the current episode.
+
+    Attributes:
+        by_agent: the camera of each agent.
+        race: the race, by a weak reference.
     """
 
-    def __init__(self, agents: Sequence[str], present: Callable[[], Episode | None]) -> None:
-        self.present = present
-        self._numbers = {agent: number for number, agent in enumerate(agents)}
+    race: Race
+
+    def __init__(self, agents: Sequence[str]) -> None:
+        self.by_agent: dict[str, Camera] = {
+            agent: _AgentCamera(self, number) for number, agent in enumerate(agents)
+        }
         self._drawings: dict[CameraKind, _Drawing] = {}
-
-    def of(self, agent: str) -> Camera:
-        """Returns an agent's camera."""
-        return _AgentCamera(self, self._numbers[agent])
-
-    def connected(self, views: Mapping[str, ViewFactory]) -> dict[str, ViewFactory]:
-        """Returns the agents' views, each applied to an environment with that agent's camera."""
-        return {agent: with_camera(view, self.of(agent)) for agent, view in views.items()}
 
     def drawing(self, camera_kind: CameraKind) -> _Drawing:
         """Returns the renderer of all cameras of one kind."""
@@ -49,16 +47,6 @@ class RaceCameras:
         """Stops the render processes."""
         for drawing in self._drawings.values():
             drawing.close()
-
-
-def with_camera(view: ViewFactory, camera: Camera) -> ViewFactory:
-    """Returns the view, applied to an environment with a camera."""
-
-    def wrap(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        env.camera = camera  # type: ignore[attr-defined]
-        return view(env)
-
-    return wrap
 
 
 class _AgentCamera:
@@ -71,7 +59,7 @@ class _AgentCamera:
         self._cameras.drawing(camera_kind).add(self._number)
 
     def look(self, camera_kind: CameraKind) -> Shot:
-        episode = self._cameras.present()
+        episode = self._cameras.race.episode
         if episode is None:
             raise ApiOrderError("there is nothing to see before reset(); call reset() first")
         drawing = self._cameras.drawing(camera_kind)

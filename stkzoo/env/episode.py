@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,9 @@ IntArray = npt.NDArray[np.intp]
 #: Rewards, terminations and truncations, each an array with one number per slot.
 EndArrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
 
-#: Keys of infos whose values are whole numbers, in the order of their rows in the kernel's table.
-WHOLE_INFOS = ("position", "lap", "episode/length")
 _ENDED_BY = "ended_by"
+#: Keys of infos whose values are whole numbers, in order. The kernel writes all but the last.
+WHOLE_INFOS = ("position", "lap", "episode/length", _ENDED_BY)
 #: The reason for an end that each state of karts causes.
 _REASONS = tuple(EndReason[name.upper()] for name in STREAKS)
 
@@ -51,21 +52,18 @@ class InfoTable:
         columns: ``(S,)`` values of each key: int64 for ranks, laps, lengths and reasons, else
             float64.
         has: ``(S,)`` bool, slots with an info.
-        wholes: ``(3, S)`` int64, all whole numbers that the kernel writes.
-        numbers: ``(K, S)`` float64, all other values.
+        arrays: the rows that the kernel writes: ``(3, S)`` int64 and ``(N, S)`` float64.
     """
 
     def __init__(self, keys: Sequence[str], count: int) -> None:
-        self.wholes = np.zeros((len(WHOLE_INFOS), count), np.int64)
-        other_keys = [key for key in keys if key not in (*WHOLE_INFOS, _ENDED_BY)]
-        self.numbers = np.zeros((len(other_keys), count))
+        wholes = np.zeros((len(WHOLE_INFOS), count), np.int64)
+        numbers = np.zeros((sum(key not in WHOLE_INFOS for key in keys), count))
         self.has = np.zeros(count, np.bool_)
-        rows = {
-            **dict(zip(WHOLE_INFOS, self.wholes, strict=True)),
-            **dict(zip(other_keys, self.numbers, strict=True)),
-            _ENDED_BY: np.zeros(count, np.int64),
+        self.arrays = wholes[:-1], numbers
+        whole_rows, number_rows = iter(wholes), iter(numbers)
+        self.columns: dict[str, npt.NDArray[Any]] = {
+            key: next(whole_rows if key in WHOLE_INFOS else number_rows) for key in keys
         }
-        self.columns: dict[str, npt.NDArray[Any]] = {key: rows[key] for key in keys}
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
@@ -106,7 +104,8 @@ class Episode:
         snapshot: current snapshot.
         step_size: game time of one step [s].
         num_players: number of karts for which the engine expects controls.
-        record: rewards, ends and infos of the episode.
+        info_keys: keys of every info, in order.
+        ends: arrays for the rewards, terminations and truncations of all agents, for reuse.
     """
 
     def __init__(
@@ -119,19 +118,11 @@ class Episode:
         root: Path,
     ) -> None:
         self.setup, self._root = setup, root
-        agents, opponents = kart_indices[: len(rewards)], kart_indices[len(rewards) :]
         self.race = RaceInfo(
-            track=setup.track,
-            reverse=setup.reverse,
-            mode=setup.mode,
-            laps=setup.laps,
-            difficulty=setup.difficulty,
-            seed=setup.seed,
-            step_size=setup.step_size,
-            kart_indices=agents,
+            **{field.name: getattr(setup, field.name) for field in fields(setup)},
+            kart_indices=kart_indices[: len(rewards)],
             kart_types=start.kart_types,
-            opponent_indices=opponents,
-            opponents=tuple(setup.karts[kart].name for kart in opponents),
+            opponent_indices=kart_indices[len(rewards) :],
         )
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
@@ -140,6 +131,7 @@ class Episode:
         self._karts = np.array(kart_indices, np.intp)
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
         self.num_players = len(self._players)
+        self._race_length = self.track_map.length * setup.laps
         self._latest_seats: tuple[tuple[Sequence[str], Seats], ...] = ()
         self._past: Any = None  # (earlier history, latest controls), shared by copies
         self._start(options, rewards)
@@ -147,8 +139,9 @@ class Episode:
     def copy(self) -> Episode:
         """Returns an independent copy of the episode at this moment."""
         twin = copy.copy(self)
-        shared = {id(reward): reward for reward in self._rewards.values()}
-        twin.record = copy.deepcopy(self.record, shared)
+        changing = self._last, self._sums, self._events, self._endings
+        twin._last, twin._sums, twin._events, twin._endings = copy.deepcopy(changing)
+        twin._make_scorer()
         return twin
 
     def restarted(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
@@ -201,15 +194,39 @@ class Episode:
         before, self.snapshot = self.snapshot, snapshot
         self._num_steps += 1
         is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
-        self.record.score(before, snapshot, seats, is_over, slots, ends)
-
-    def infos_into(self, seats: Seats, slots: IntArray, table: InfoTable) -> None:
-        """Writes the infos of some agents into a table with the keys of :attr:`record`."""
-        self.record.infos_into(self.snapshot, seats, self._num_steps, slots, table)
+        self._prepare(before, snapshot)
+        self._scorer.score_into(before.data, snapshot.data, is_over, seats.numbers, slots, *ends)
+        if self._endings is not None and self._events is not None:
+            seconds = self._events.seconds[seats.karts]
+            self._endings.end(ends, slots, seats.numbers, snapshot, seconds)
 
     def infos(self, seats: Seats) -> dict[str, dict[str, Any]]:
-        """Returns new infos of some agents; see :meth:`EpisodeRecord.infos`."""
-        return self.record.infos(self.snapshot, seats, self._num_steps)
+        """Returns new infos of some agents: plain numbers under the same keys in every step.
+
+        ``position`` is the rank, ``distance`` the distance driven [m], ``lap`` the number of
+        completed laps, and ``finish_time`` the finish time [s] (0 before the finish).
+        ``reward/<term>`` is the weighted term of this step and ``episode/reward/<term>`` its sum;
+        ``episode/return`` is the return and ``episode/length`` the number of steps. With events,
+        ``event/<name>`` and ``episode/event/<name>`` count the events of
+        :data:`stkzoo.mdp.events.EVENTS`. With optional ends, ``ended_by`` is an
+        :class:`~stkzoo.names.EndReason`.
+        """
+        self.infos_into(seats, seats.order, self._table)
+        infos: dict[str, dict[str, Any]] = split_batch(self._table.columns, seats.agents)
+        return infos
+
+    def infos_into(self, seats: Seats, slots: IntArray, table: InfoTable) -> None:
+        """Writes the infos of some agents into a table.
+
+        Args:
+            seats: the agents.
+            slots: slot of each agent.
+            table: a table with :attr:`info_keys`; changed in place.
+        """
+        length = self._num_steps
+        self._scorer.infos_into(self.snapshot.data, length, seats.numbers, slots, *table.arrays)
+        if self._endings is not None:
+            table.columns[_ENDED_BY][slots] = self._endings.reasons[seats.numbers]
 
     @property
     def ground(self) -> Ground:
@@ -230,54 +247,10 @@ class Episode:
 
     def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
         """Sets all counters to zero."""
-        self._rewards = rewards
-        race_length = self.track_map.length * self.race.laps
-        endings = endings_of(options, len(rewards))
-        events = None
-        if options.events or endings is not None:
-            events = RaceEvents(self.track_map, self.setup.step_size, len(self.setup.karts))
-        self.record = EpisodeRecord(
-            rewards, self.race.kart_indices, race_length, events, endings, options.events
-        )
-        self._num_steps = 0
-        self._max_cycles = options.max_cycles
-        num_nodes = self.track_map.num_nodes
-        num_paths = min(num_nodes, options.max_paths or num_nodes)
-        self.course = self.track_map.graph, num_paths, tuple(self.race.kart_types)
-
-
-class EpisodeRecord:
-    """Rewards, ends and infos of one episode.
-
-    Args:
-        rewards: reward of each agent, in agent order.
-        kart_indices: kart of each agent, in agent order.
-        race_length: number of laps times the lap length [m].
-        events: event counter, needed for ``shows_events`` and ``endings``.
-        endings: optional ends of episodes.
-        shows_events: whether events are available in infos and to rewards.
-
-    Attributes:
-        info_keys: keys of every info, in order.
-        ends: arrays for the rewards, terminations and truncations of all agents, for reuse.
-    """
-
-    def __init__(
-        self,
-        rewards: Mapping[str, Reward],
-        kart_indices: Sequence[int],
-        race_length: float,
-        events: RaceEvents | None = None,
-        endings: Endings | None = None,
-        shows_events: bool = False,
-    ) -> None:
-        self._karts = np.array(kart_indices, np.intp)
         of_agent = [*rewards.values()]
         self._rewards = [*{id(reward): reward for reward in of_agent}.values()]
-        same = [
-            [candidate is reward for candidate in self._rewards].index(True) for reward in of_agent
-        ]
-        self._reward_of = np.array(same, np.intp)
+        numbers = {id(reward): number for number, reward in enumerate(self._rewards)}
+        self._reward_of = np.array([numbers[id(reward)] for reward in of_agent], np.intp)
         names = sorted({name for reward in self._rewards for name in reward.terms})
         self._columns = {name: column for column, name in enumerate(names)}
         self._custom = [
@@ -286,9 +259,13 @@ class EpisodeRecord:
             for name, term in reward.terms.items()
             if not isinstance(term, KernelTerm)
         ]
-        self._race_length, self._shows_events = race_length, shows_events
-        self._events, self._endings = events, endings
-        shown = EVENTS if shows_events else ()
+        self._num_steps, self._max_cycles = 0, options.max_cycles
+        endings = Endings(options, len(of_agent))
+        self._endings = endings if endings.are_chosen else None
+        self._shows_events, self._events = options.events, None
+        if options.events or endings.are_chosen:
+            self._events = RaceEvents(self.track_map, self.step_size, len(self.setup.karts))
+        shown = EVENTS if options.events else ()
         columns = [*(f"reward/{name}" for name in names), *(f"event/{name}" for name in shown)]
         self._last = np.zeros((len(of_agent), len(columns)))
         self._sums = np.zeros_like(self._last)
@@ -297,72 +274,12 @@ class EpisodeRecord:
             *columns,
             *(f"episode/{column}" for column in columns),
             *("episode/return", "episode/length"),
-            *(() if endings is None else (_ENDED_BY,)),
+            *((_ENDED_BY,) if endings.are_chosen else ()),
         )
-        terminations, truncations = np.zeros((2, len(of_agent)), np.bool_)
-        self.ends: EndArrays = np.zeros(len(of_agent)), terminations, truncations
         self._make_scorer()
-
-    def score(
-        self,
-        before: Snapshot,
-        after: Snapshot,
-        seats: Seats,
-        is_over: bool,
-        slots: IntArray,
-        ends: EndArrays,
-    ) -> None:
-        """Computes the rewards and ends of one step and adds them to the record.
-
-        Args:
-            before: snapshot before the step.
-            after: snapshot after the step.
-            seats: the agents that were still racing.
-            is_over: whether the time limit is reached.
-            slots: slot of each agent.
-            ends: rewards, terminations and truncations of all slots; changed in place.
-        """
-        self._prepare(before, after)
-        self._scorer.score_into(before.data, after.data, is_over, seats.numbers, slots, *ends)
-        if self._endings is not None and self._events is not None:
-            self._endings.end(ends, slots, seats.numbers, after, self._events.seconds[seats.karts])
-
-    def infos(self, snapshot: Snapshot, seats: Seats, length: int) -> dict[str, dict[str, Any]]:
-        """Returns new infos of some agents: plain numbers under the same keys in every step.
-
-        ``position`` is the rank, ``distance`` the distance driven [m], ``lap`` the number of
-        completed laps, and ``finish_time`` the finish time [s] (0 before the finish).
-        ``reward/<term>`` is the weighted term of this step and ``episode/reward/<term>`` its sum;
-        ``episode/return`` is the return and ``episode/length`` the number of steps. With events,
-        ``event/<name>`` and ``episode/event/<name>`` count the events of
-        :data:`stkzoo.mdp.events.EVENTS`. With optional ends, ``ended_by`` is an
-        :class:`~stkzoo.names.EndReason`.
-
-        Args:
-            snapshot: current snapshot.
-            seats: the agents.
-            length: number of steps so far.
-        """
-        self.infos_into(snapshot, seats, length, seats.order, self._table)
-        infos: dict[str, dict[str, Any]] = split_batch(self._table.columns, seats.agents)
-        return infos
-
-    def infos_into(
-        self, snapshot: Snapshot, seats: Seats, length: int, slots: IntArray, table: InfoTable
-    ) -> None:
-        """Writes the infos of some agents into a table.
-
-        Args:
-            snapshot: see :meth:`infos`.
-            seats: see :meth:`infos`.
-            length: see :meth:`infos`.
-            slots: slot of each agent.
-            table: a table with :attr:`info_keys`; changed in place.
-        """
-        tables = table.wholes, table.numbers
-        self._scorer.infos_into(snapshot.data, length, seats.numbers, slots, *tables)
-        if self._endings is not None:
-            table.columns[_ENDED_BY][slots] = self._endings.reasons[seats.numbers]
+        num_nodes = self.track_map.num_nodes
+        num_paths = min(num_nodes, options.max_paths or num_nodes)
+        self.course = self.track_map.graph, num_paths, tuple(self.race.kart_types)
 
     @property
     def _shown_events(self) -> FloatArray | None:
@@ -381,8 +298,11 @@ class EpisodeRecord:
             self._last[agents, self._columns[name]] = values
 
     def _make_scorer(self) -> None:
-        """Makes the scorer and a table for infos, which share memory with arrays of the record."""
-        self._table = InfoTable(self.info_keys, len(self._karts))
+        """Makes the scorer, which shares memory with other arrays, and arrays for its results."""
+        count, karts = len(self._reward_of), self._karts[: len(self._reward_of)]
+        self._table = InfoTable(self.info_keys, count)
+        terminations, truncations = np.zeros((2, count), np.bool_)
+        self.ends: EndArrays = np.zeros(count), terminations, truncations
         rewards = []
         for reward in self._rewards:
             terms = [(n, t) for n, t in reward.terms.items() if isinstance(t, KernelTerm)]
@@ -391,17 +311,9 @@ class EpisodeRecord:
             rewards.append((tuple(term.name for _, term in terms), weights, columns))
         events = self._shown_events
         if events is None:
-            events = np.zeros((int(self._karts.max()) + 1, 0))
+            events = np.zeros((int(karts.max()) + 1, 0))
         numbers = self._last, self._sums, self._race_length
-        self._scorer = StepScorer(self._karts, self._reward_of, *numbers, tuple(rewards), events)
-
-    def __getstate__(self) -> dict[str, Any]:
-        remade = ("_scorer", "_table")  # a copy of the arrays makes its own
-        return {name: value for name, value in vars(self).items() if name not in remade}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._make_scorer()
+        self._scorer = StepScorer(karts, self._reward_of, *numbers, tuple(rewards), events)
 
 
 class Endings:
@@ -416,13 +328,15 @@ class Endings:
         count: number of agents, A.
 
     Attributes:
+        are_chosen: whether an option requests an end.
         reasons: ``(A,)`` int64, an :class:`~stkzoo.names.EndReason` for each agent.
     """
 
     def __init__(self, options: RaceOptions, count: int) -> None:
         limits = options.end_off_road, options.end_when_wrong_way, options.end_when_stuck
-        self._limits = [np.inf if limit is None else limit for limit in limits]
+        self._limits = np.array([np.inf if limit is None else limit for limit in limits])
         self._steps_left = options.end_when_first_finishes
+        self.are_chosen = limits != (None, None, None) or self._steps_left is not None
         self.reasons = np.zeros(count, np.int64)
 
     def end(
@@ -444,8 +358,11 @@ class Endings:
                 :data:`stkzoo.mdp.events.STREAKS` [s].
         """
         _, terminations, truncations = ends
-        is_cut = self._is_cut(after)
-        fails = seconds > np.array(self._limits) - 1e-6  # float sums are inexact
+        is_cut = False
+        if self._steps_left is not None and after.karts["has_finished_race"].any():
+            self._steps_left -= 1
+            is_cut = self._steps_left < 0
+        fails = seconds > self._limits - 1e-6  # float sums are inexact
         for slot, agent, failed in zip(slots, agents, fails.tolist(), strict=True):
             if terminations[slot]:
                 self.reasons[agent] = EndReason.FINISH
@@ -456,19 +373,3 @@ class Endings:
                 self.reasons[agent], truncations[slot] = EndReason.FIRST_FINISH, True
             elif truncations[slot]:
                 self.reasons[agent] = EndReason.MAX_CYCLES
-
-    def _is_cut(self, after: Snapshot) -> bool:
-        """Whether the chosen number of steps has passed since the first finish."""
-        if self._steps_left is None or not after.karts["has_finished_race"].any():
-            return False
-        self._steps_left -= 1
-        return self._steps_left < 0
-
-
-def endings_of(options: RaceOptions, count: int) -> Endings | None:
-    """Returns the ends that the options request for some agents; ``None`` if there are none."""
-    chosen = (
-        *(options.end_off_road, options.end_when_wrong_way, options.end_when_stuck),
-        options.end_when_first_finishes,
-    )
-    return None if chosen == (None,) * 4 else Endings(options, count)

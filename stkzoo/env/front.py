@@ -27,6 +27,19 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
+class RaceOption:
+    """An option of later races, as an attribute that you may set between races."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        return self if instance is None else getattr(instance.options, self._name)
+
+    def __set__(self, instance: Any, value: object) -> None:
+        instance.options = replace(instance.options, **{self._name: value})
+
+
 class RaceFront(EzPickle):
     """An environment that drives one race.
 
@@ -35,18 +48,19 @@ class RaceFront(EzPickle):
 
     Attributes:
         live_race: the race.
+        max_cycles: number of steps after which the race is truncated; ``None`` for no limit.
     """
 
     live_race: Race
+    max_cycles = RaceOption("max_cycles")
 
     def render(self) -> Any:
         """Renders the race according to ``render_mode``.
 
         Returns:
             With ``"rgb_array"``, a frame ``(height, width, 3)`` uint8: the view of the first
-                agent's camera, several cameras as tiles, or the map. With ``"rgb_array_list"``, a
-                list of frames, one per step since the last call or reset. With ``"human"``,
-                ``None``: the window updates after every step.
+                agent's camera, several cameras as tiles, or the map. With ``"human"``, ``None``:
+                the window updates after every step.
 
         Raises:
             ApiOrderError: called before the first ``reset``.
@@ -123,15 +137,6 @@ class RaceFront(EzPickle):
     def render_backend(self) -> str:
         """Renderer in use: ``"engine"`` or ``"map"``; ``"auto"`` before the first frame."""
         return self.live_race.rendering.backend
-
-    @property
-    def max_cycles(self) -> int | None:
-        """Number of steps after which the race is truncated; ``None`` for no limit."""
-        return self.options.max_cycles
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self.options = replace(self.options, max_cycles=value)
 
     # ------------------------------------------------------------------ saved moments
 

@@ -2,69 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from stkzoo.config import NORMAL, AgentSpec
+from stkzoo.config import AgentSpec
 from stkzoo.engine.setup import MAX_CAMERAS, KartSetup, RaceSetup
 from stkzoo.env.options import RaceOptions, camera_mode
 from stkzoo.env.starts import draw_starts
 from stkzoo.names import CameraMode
 
 
-@dataclass(frozen=True, slots=True)
-class RaceInfo:
-    """Names of a race and its karts.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RaceInfo(RaceSetup):
+    """A race that has started, and its karts.
 
     Attributes:
-        track: name of the track.
-        reverse: whether the track is driven in the opposite direction.
-        laps: number of laps.
-        difficulty: level of the game's bots.
-        seed: seed of the engine.
-        step_size: game time of one step [s].
         kart_indices: index of each agent's kart in grid order.
         kart_types: model of each kart, in grid order.
         opponent_indices: index of each opponent's kart in grid order.
-        opponents: name of each opponent.
-        mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
-    track: str
-    reverse: bool
-    laps: int
-    difficulty: int
-    seed: int
-    step_size: float
     kart_indices: tuple[int, ...]
     kart_types: tuple[str, ...]
     opponent_indices: tuple[int, ...] = ()
-    opponents: tuple[str, ...] = ()
-    mode: str = NORMAL
+
+    @property
+    def opponents(self) -> tuple[str, ...]:
+        """Name of each opponent."""
+        return tuple(self.karts[kart].name for kart in self.opponent_indices)
 
 
-@dataclass(frozen=True, slots=True)
-class RaceRoster:
-    """Karts and agents of a race; a saved state and an environment must have equal rosters.
+def roster_of(
+    num_kart: int, num_agents: int, ai_agents: Collection[str], has_opponents: bool
+) -> str:
+    """Describes the karts and agents of a race; a saved state and an environment must agree.
 
-    Attributes:
+    Args:
         num_kart: number of karts.
         num_agents: number of agents.
         ai_agents: agents that the game's AI drives.
         has_opponents: whether there are opponents.
     """
-
-    num_kart: int
-    num_agents: int
-    ai_agents: frozenset[str]
-    has_opponents: bool
-
-    def __str__(self) -> str:
-        of_ai = f" ({', '.join(sorted(self.ai_agents))} with use_ai)" if self.ai_agents else ""
-        opponents = " with opponents" if self.has_opponents else ""
-        return f"{self.num_kart} karts and {self.num_agents} agents{of_ai}{opponents}"
+    of_ai = f" ({', '.join(sorted(ai_agents))} with use_ai)" if ai_agents else ""
+    opponents = " with opponents" if has_opponents else ""
+    return f"{num_kart} karts and {num_agents} agents{of_ai}{opponents}"
 
 
 def draw_race(

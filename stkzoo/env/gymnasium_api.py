@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import copy
 import inspect
+import re
 import warnings
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, ClassVar, TypeAlias
 
 import gymnasium as gym
@@ -21,8 +21,8 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.env.front import RaceFront
+from stkzoo.engine.snapshot import Snapshot
+from stkzoo.env.front import RaceFront, RaceOption
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import Started
@@ -31,7 +31,7 @@ from stkzoo.env.time_limit import RaceSpec, follow_max_cycles
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import RewardOver
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.chains import RecordsObserver
 from stkzoo.views.plan import ViewPlan
@@ -54,19 +54,6 @@ class _RaceOfAnyKart(RaceParallelEnv):
     def __init__(self, **options: Any) -> None:
         self._unknown_karts = set()
         super().__init__(**options)
-
-
-class _RaceOption:
-    """An option of later races, as an attribute that you may set between races."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        return self if instance is None else getattr(instance.options, self._name)
-
-    def __set__(self, instance: Any, value: object) -> None:
-        instance.options = replace(instance.options, **{self._name: value})
 
 
 class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
@@ -99,11 +86,11 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
         "render_fps": 10,
     }
     TRACKS = _TrackNames()
-    default_track = _RaceOption("track")
-    difficulty = _RaceOption("difficulty")
-    laps = _RaceOption("laps")
-    max_paths = _RaceOption("max_paths")
-    step_size = _RaceOption("step_size")
+    default_track = RaceOption("track")
+    difficulty = RaceOption("difficulty")
+    laps = RaceOption("laps")
+    max_paths = RaceOption("max_paths")
+    step_size = RaceOption("step_size")
     track = RaceFront.track_map
     _spec: RaceSpec | None = None
 
@@ -223,7 +210,7 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
         """
         episode = self.live_race.running("get_observation")
         karts = np.array([check_whole("kart_ix", kart_ix, 0, self.num_kart - 1)])
-        plan = ViewPlan(kart_observation_space(use_ai), kart_action_space(), CONTROLS)
+        plan = ViewPlan(kart_observation_space(use_ai))
         (observation,) = RecordsObserver(plan).observe(episode, karts)
         return dict(observation)
 
@@ -299,7 +286,7 @@ class STKRaceEnv(GymnasiumRaceEnv):
         (self._name,) = self.core.possible_agents
         self.observation_space = self.core.observation_space(self._name)
         self.action_space = self.core.action_space(self._name)
-        self.camera = self.core.cameras.of(self._name)
+        self.camera = self.core.cameras.by_agent[self._name]
 
     @property
     def kart_ix(self) -> int | None:
@@ -390,7 +377,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     ) -> None:
         EzPickle.__init__(self, agents=agents, **options)
         super().__init__(agents, **options)
-        if not self.core.live_race.is_compiled:
+        if not self.core.live_race.chains.is_compiled:
             raise ConfigError(
                 "view has wrappers in Python, which cannot change the observations of agents that "
                 'have finished. Put them into MonoAgentWrapperAdapter(env, {"0": ...}), or into '
@@ -398,12 +385,8 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
             )
         self.agents = self.core.specs
         self._names = {str(i): agent for i, agent in enumerate(self.core.possible_agents)}
-        self.observation_space = spaces.Dict(
-            {key: self.core.observation_space(agent) for key, agent in self._names.items()}
-        )
-        self.action_space = spaces.Dict(
-            {key: self.core.action_space(agent) for key, agent in self._names.items()}
-        )
+        self.observation_space = spaces.Dict(self._by_number(self.core.observation_spaces))
+        self.action_space = spaces.Dict(self._by_number(self.core.action_spaces))
 
     @property
     def kart_indices(self) -> list[int] | None:
@@ -416,13 +399,13 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
         with self.core.live_race.turn.of("reset"):
             observations, infos = self._reset_core(seed, options)
-            return self._completed(observations), self._info(infos, {}, {})
+            return self._completed(observations, self.core.observe), self._info(infos, {}, {})
 
     def _step(self, action: Mapping[str, Any]) -> GymnasiumStep:
         with self.core.live_race.turn.of("step"):
             observations, rewards, _, truncations, infos = self._step_by_number(action)
             return (
-                self._completed(observations),
+                self._completed(observations, self.core.observe),
                 float(sum(rewards.values())),
                 not self.core.agents and not any(truncations.values()),
                 any(truncations.values()),
@@ -441,21 +424,16 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         try:
             return self.core.step(action)
         except ActionError as error:
-            raise self._by_key(error) from None
+            text = re.sub(r"'kart_(\d+)'", r"'\1'", str(error))
+            raise ActionError(text, error.agent.removeprefix("kart_")) from None
 
-    def _by_key(self, error: ActionError) -> ActionError:
-        """Returns the error with the core's agent names replaced by this environment's keys."""
-        text = str(error)
-        for key, agent in self._names.items():
-            text = text.replace(repr(agent), repr(key))
-        keys = {agent: key for key, agent in self._names.items()}
-        return ActionError(text, keys.get(error.agent, error.agent))
-
-    def _completed(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the observations by number, with those of agents that have finished."""
-        departed = self._without(observations)
-        seen = self.core.observe(departed) if departed else {}
-        return self._by_number({**seen, **observations})
+    def _completed(
+        self, by_agent: Mapping[str, Any], of_departed: Callable[[list[str]], dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Returns values by number, with those of agents that have finished."""
+        departed = [agent for agent in self.core.possible_agents if agent not in by_agent]
+        missing = of_departed(departed) if departed else {}
+        return self._by_number({**missing, **by_agent})
 
     def _info(
         self,
@@ -463,20 +441,15 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         rewards: Mapping[str, float],
         truncations: Mapping[str, bool],
     ) -> dict[str, Any]:
-        agents, departed = self.core.possible_agents, self._without(infos)
+        agents = self.core.possible_agents
         done = {agent: agent not in self.core.agents for agent in agents}
         terminated = {a: is_done and not truncations.get(a, False) for a, is_done in done.items()}
-        finished = self.core.infos(departed) if departed else {}
         return {
-            "infos": self._by_number({**finished, **infos}),
+            "infos": self._completed(infos, self.core.infos),
             "reward": self._by_number({agent: rewards.get(agent, 0.0) for agent in agents}),
             "terminated": self._by_number(terminated),
             "done": self._by_number(done),
         }
-
-    def _without(self, present: Mapping[str, Any]) -> list[str]:
-        """Returns the agents without an entry."""
-        return [agent for agent in self.core.possible_agents if agent not in present]
 
     def _by_number(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
         return {key: by_agent[agent] for key, agent in self._names.items()}

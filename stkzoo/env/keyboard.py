@@ -15,9 +15,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.env.cameras import with_camera
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.spaces import kart_action_space
+from stkzoo.mdp.spaces import action_of, kart_action_space
 from stkzoo.views import ViewFactory, base_space
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers.camera import CameraKind, Shot
@@ -67,12 +67,8 @@ def base_action(pressed: Collection[int]) -> dict[str, Any]:
     held = {does for does, code in _CODE.items() if code in pressed}
     throttle = "accelerate" in held and "brake" not in held
     steer = ("steer right" in held) - ("steer left" in held)
-    buttons = {name: int(name in held) for name in ("brake", "drift", "fire", "nitro", "rescue")}
-    return {
-        "acceleration": np.array([throttle], np.float32),
-        "steer": np.array([steer], np.float32),
-        **buttons,
-    }
+    buttons = [name in held for name in CONTROLS[2:]]
+    return action_of(np.array([throttle, steer, *buttons], np.float32))
 
 
 def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
@@ -89,7 +85,7 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
         ConfigError: the view's wrappers do not convert the ``action`` entry of observations.
     """
     seen = base_space(view, use_ai=True)
-    chain = AgentChain("kart_0", seen, kart_action_space(), with_camera(view, _NoCamera()))
+    chain = AgentChain("kart_0", seen, kart_action_space(), view, _NoCamera())
     blank: dict[str, Any] = create_zero_array(chain.base_observation_space)
     wrapper: Any = chain.env
     while isinstance(wrapper, gym.Wrapper):

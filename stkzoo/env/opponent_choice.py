@@ -5,10 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from itertools import chain, repeat
 from typing import Any
-
-import numpy as np
 
 from stkzoo._checks import shortened
 from stkzoo.drivers import Driver, OpponentPool
@@ -17,9 +14,6 @@ from stkzoo.drivers.failures import in_words
 from stkzoo.drivers.files import name_of_files
 from stkzoo.drivers.pool import as_driver
 from stkzoo.errors import AgentError, ConfigError
-
-#: The drivers of a race's opponents, and the difficulty that they require, if any.
-Lineup = tuple[tuple[Driver, ...], int | None]
 
 
 class OpponentChoice:
@@ -89,35 +83,9 @@ class OpponentChoice:
             )
         return count
 
-    def draw(
-        self,
-        count: int,
-        random: np.random.Generator,
-        difficulty: int | None,
-        are_game_ai: Sequence[bool] = (),
-    ) -> Lineup:
-        """Draws the opponents of a race.
-
-        Args:
-            count: number of opponents.
-            random: random generator.
-            difficulty: difficulty requested in ``reset``, if any.
-            are_game_ai: for each opponent, whether a pool draws the game's AI for it; for opponents
-                beyond this list, both kinds are drawn.
-
-        Raises:
-            ConfigError: the opponents require another difficulty.
-        """
-        members = self._members if self._pool is None else [self._pool] * count
-        level = self.level(difficulty)
-        drawn: list[Driver] = []
-        for member, is_game_ai in zip(members, chain(are_game_ai, repeat(None)), strict=False):
-            driver = (
-                member if isinstance(member, Driver) else member.draw(random, level, is_game_ai)
-            )
-            drawn.append(driver)
-            level = level if driver.difficulty is None else driver.difficulty
-        return tuple(drawn), level
+    def members(self, count: int) -> Sequence[Driver | OpponentPool]:
+        """Returns a driver or a pool for each of a number of opponents."""
+        return self._members if self._pool is None else [self._pool] * count
 
     def level(self, difficulty: int | None = None) -> int | None:
         """Returns the difficulty that the opponents require, except those drawn from pools.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+from itertools import chain, repeat
 from types import FunctionType
 from typing import Any
 
@@ -18,15 +18,13 @@ from stkzoo.config import AgentSpec
 from stkzoo.drivers import Actor, Driver, DriverInstance, DriverRequest
 from stkzoo.drivers.code import AgentCode
 from stkzoo.drivers.failures import in_words, printable
-from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.episode import Episode
-from stkzoo.env.opponent_choice import Lineup, OpponentChoice, name_of
+from stkzoo.env.opponent_choice import OpponentChoice, name_of
 from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import CameraMode
-from stkzoo.views import AgentChains, ViewFactory, base_space, full_with
+from stkzoo.views import AgentChains, ViewFactory, full_with
 from stkzoo.views.chains import ChainsMemory
-from stkzoo.views.walker import Failures
 
 logger = logging.getLogger(__name__)
 
@@ -93,14 +91,12 @@ class OpponentsMoment:
     """Immutable state of a race's opponents.
 
     Attributes:
-        opponents: opponents that the game does not drive and that have not failed.
-        present: ids of opponents that are still racing.
+        opponents: opponents that are still racing and that the game does not drive.
         observations: their observations.
         memory: state of their wrappers.
     """
 
     opponents: tuple[Opponent, ...]
-    present: tuple[str, ...]
     observations: dict[str, Any]
     memory: ChainsMemory
 
@@ -115,7 +111,7 @@ class RaceOpponents:
         view: view of the first agent, used for policies without a view of their own.
 
     Attributes:
-        present: ids of the opponents that still race and need actions from this environment.
+        present: the opponents that still race and need actions from this environment, by id.
     """
 
     def __init__(
@@ -123,9 +119,8 @@ class RaceOpponents:
     ) -> None:
         self.choice, self._view = choice, view
         self._ids = tuple(f"kart_{num_agents + number}" for number in range(count))
-        self._known_chains: deque[tuple[dict[str, ViewFactory], AgentChains]] = deque(maxlen=16)
-        self._opponents: dict[str, Opponent] = {}  # without failed ones
-        self.present: tuple[str, ...] = ()  # have not finished
+        self._chains_of_views = lru_cache(16)(lambda *views: AgentChains(dict(views)))
+        self.present: dict[str, Opponent] = {}
         self._observations: dict[str, Any] | None = {}  # None after a step
         self._chains = self._chains_here()
 
@@ -134,9 +129,28 @@ class RaceOpponents:
         random: np.random.Generator,
         difficulty: int | None,
         are_game_ai: Sequence[bool] = (),
-    ) -> Lineup:
-        """Draws the drivers of the next race; see :meth:`OpponentChoice.draw`."""
-        return self.choice.draw(len(self._ids), random, difficulty, are_game_ai)
+    ) -> tuple[tuple[Driver, ...], int | None]:
+        """Draws the drivers of a race, and returns them and the difficulty that they require.
+
+        Args:
+            random: random generator.
+            difficulty: difficulty requested in ``reset``, if any.
+            are_game_ai: for each opponent, whether a pool draws the game's AI for it; for opponents
+                beyond this list, both kinds are drawn.
+
+        Raises:
+            ConfigError: the opponents require another difficulty.
+        """
+        members = self.choice.members(len(self._ids))
+        level = self.choice.level(difficulty)
+        drawn: list[Driver] = []
+        for member, is_game_ai in zip(members, chain(are_game_ai, repeat(None)), strict=False):
+            driver = (
+                member if isinstance(member, Driver) else member.draw(random, level, is_game_ai)
+            )
+            drawn.append(driver)
+            level = level if driver.difficulty is None else driver.difficulty
+        return tuple(drawn), level
 
     def specs(self, drivers: Sequence[Driver]) -> list[AgentSpec]:
         """Returns the agent specs of the drivers' karts."""
@@ -159,18 +173,19 @@ class RaceOpponents:
                 continue
             seen = kart_observation_space(extras=driver.extras)
             request = DriverRequest(agent, seen, kart_action_space(), seed + number)
-            self._opponents[agent] = Opponent(request, driver, full_with(driver.extras))
-            self.attempt(self._opponents[agent], partial(self._start, self._opponents[agent]))
+            opponent = self.present[agent] = Opponent(request, driver, full_with(driver.extras))
+            self.attempt(opponent, partial(self._start, opponent))
         self._chains = self._chains_here()
-        for opponent in [*self._opponents.values()]:
+        for opponent in [*self.present.values()]:
             self.attempt(opponent, partial(self._get_ready, opponent))
-        self.present = tuple(self._opponents)
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.present}
-        failed: Failures = {}
-        self._observations, _ = self._chains.reset(
-            episode.seats(self.present), episode, infos, seed=seed, failed=failed
-        )
-        self._drop(failed)
+        self._observations = None
+        while self._observations is None:
+            infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.present}
+            seats = episode.seats(tuple(infos))
+            try:
+                self._observations, _ = self._chains.reset(seats, episode, infos, seed=seed)
+            except AgentException as error:
+                self.retire(self.present[str(error.key)], error)
 
     def moment(self, episode: Episode) -> OpponentsMoment:
         """Returns the current state of the opponents as a value.
@@ -180,8 +195,7 @@ class RaceOpponents:
         """
         self._look(episode)
         return OpponentsMoment(
-            tuple(opponent.copy() for opponent in self._opponents.values()),
-            self.present,
+            tuple(opponent.copy() for opponent in self.present.values()),
             copy.deepcopy(self._observations or {}),
             self._chains.memory(),
         )
@@ -189,18 +203,15 @@ class RaceOpponents:
     def go_on_from(self, moment: OpponentsMoment) -> None:
         """Continues from a :meth:`moment` of this or another environment."""
         self.close()
-        self._opponents = {opponent.agent: opponent.copy() for opponent in moment.opponents}
-        self.present = moment.present
+        self.present = {opponent.agent: opponent.copy() for opponent in moment.opponents}
         self._observations = copy.deepcopy(moment.observations)
         self._chains = self._chains_here()
         self._chains.recall(moment.memory)
 
     def close(self) -> None:
         """Stops the drivers of the current race."""
-        for opponent in self._opponents.values():
-            if opponent.instance is not None:
-                opponent.instance.close()
-        self._opponents, self.present = {}, ()
+        for agent in [*self.present]:
+            self._remove(agent)
         self._observations = {}
 
     def _start(self, opponent: Opponent) -> None:
@@ -228,11 +239,11 @@ class RaceOpponents:
             ConfigError: the opponents cannot use the agents' view.
         """
         try:
-            return self._chains_of(self._opponents.values())
+            return self._chains_of(self.present.values())
         except (AgentException, ConfigError):
-            for opponent in list(self._opponents.values()):
+            for opponent in list(self.present.values()):
                 self._try_view(opponent)
-        return self._chains_of(self._opponents.values())
+        return self._chains_of(self.present.values())
 
     def _try_view(self, opponent: Opponent) -> None:
         try:
@@ -246,19 +257,7 @@ class RaceOpponents:
             self.retire(opponent, error)
 
     def _chains_of(self, opponents: Iterable[Opponent]) -> AgentChains:
-        views = {opponent.agent: opponent.view for opponent in opponents}
-        for known, chains in self._known_chains:
-            if known == views:
-                return chains
-        chains = AgentChains(
-            {agent: base_space(view) for agent, view in views.items()},
-            {agent: kart_action_space() for agent in views},
-            views,
-            ignored=(),
-            columns=CONTROLS,
-        )
-        self._known_chains.append((views, chains))
-        return chains
+        return self._chains_of_views(*((each.agent, each.view) for each in opponents))
 
     def attempt(self, opponent: Opponent, call: Callable[[], Any]) -> Any:
         """Calls a driver; if the call fails, removes the driver and returns ``None``."""
@@ -269,19 +268,17 @@ class RaceOpponents:
 
     def retire(self, opponent: Opponent, error: BaseException) -> None:
         """Removes a failed opponent from the race; its kart rolls to a stop."""
-        if self._opponents.pop(opponent.agent, None) is None:
+        if opponent.agent not in self.present:
             return
-        if opponent.instance is not None:
-            opponent.instance.close()
+        self._remove(opponent.agent)
         text = printable(in_words(error))
         who = name_of(opponent.driver)
         logger.warning("opponent %s of %s is out of the race: %s", who, opponent.agent, text)
 
-    def _drop(self, failed: Failures) -> None:
-        """Removes opponents whose wrappers failed."""
-        for agent, error in failed.items():
-            self.retire(self._opponents[agent], error)
-        self.present = tuple(agent for agent in self.present if agent in self._opponents)
+    def _remove(self, agent: str) -> None:
+        instance = self.present.pop(agent).instance
+        if instance is not None:
+            instance.close()
 
     # ------------------------------------------------------------------ a step
 
@@ -292,11 +289,11 @@ class RaceOpponents:
         """
         self._look(episode)
         seen = self._observations or {}
-        asked = [self._opponents[agent] for agent in self.present]
+        asked = [*self.present.values()]
         for opponent in asked:
             if opponent.instance is not None:
                 self.attempt(opponent, partial(opponent.instance.ask, seen[opponent.agent]))
-        return [(each, seen[each.agent]) for each in asked if each.agent in self._opponents]
+        return [(each, seen[each.agent]) for each in asked if each.agent in self.present]
 
     def write(self, actions: Mapping[str, Any], episode: Episode, controls: Controls) -> None:
         """Writes the opponents' controls.
@@ -307,34 +304,35 @@ class RaceOpponents:
             controls: controls of all player karts, ``(P, 7)`` float32; changed in place.
         """
         while True:
-            acting = tuple(agent for agent in self.present if agent in self._opponents)
-            seats = episode.seats(acting)
+            seats = episode.seats(tuple(self.present))
             try:
                 decoded = self._chains.decode(actions, seats, episode)
                 break
             except (ActionError, AgentError) as error:
                 agent = error.agent if isinstance(error, ActionError) else error.key
-                self.retire(self._opponents[agent], error)
+                self.retire(self.present[agent], error)
         controls[seats.rows] = decoded[seats.rows]
-        self.present, self._observations = acting, None
+        self._observations = None
 
     def _look(self, episode: Episode) -> None:
         """Updates the observations of the opponents that are still racing."""
         if self._observations is None:
-            acted, seats = self.present, episode.seats(self.present)
+            seats = episode.seats(tuple(self.present))
             seen = self._chains.observe(seats, episode)
-            infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
-            no = dict.fromkeys(acted, False)
-            parts = seen, dict.fromkeys(acted, 0.0), no, dict(no), infos
-            failed: Failures = {}
-            self._chains.finish(seats, parts, failed)
+            infos: dict[str, dict[str, Any]] = {agent: {} for agent in seats.agents}
+            no = dict.fromkeys(seats.agents, False)
+            parts = seen, dict.fromkeys(seats.agents, 0.0), no, dict(no), infos
+            if not self._chains.is_compiled:
+                for agent in seats.agents:
+                    finish = partial(self._chains.finish, episode.seats((agent,)), parts)
+                    self.attempt(self.present[agent], finish)
             self._observations = seen
-            self._drop(failed)
         finished = episode.snapshot.karts["has_finished_race"]
         if finished.any():
-            karts = episode.seats(self.present).karts.tolist()
-            pairs = zip(self.present, karts, strict=True)
-            self.present = tuple(agent for agent, kart in pairs if not finished[kart])
+            seats = episode.seats(tuple(self.present))
+            for agent, kart in zip(seats.agents, seats.karts.tolist(), strict=True):
+                if finished[kart]:
+                    self._remove(agent)
 
 
 def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> None:
@@ -357,14 +355,14 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
             else:
                 groups.setdefault(opponent.group, []).append((number, opponent, seen))
     for group in groups.values():
-        picked, error = _picked(
-            [opponent for _, opponent, _ in group], [seen for *_, seen in group]
-        )
-        for (number, opponent, _), action in zip(group, picked, strict=False):
-            actions[number][opponent.agent] = action
-        if error is not None:
+        try:
+            picked = _picked([member for _, member, _ in group], [seen for *_, seen in group])
+        except (Exception, SystemExit) as error:  # noqa: BLE001, PERF203 - the driver's own code
             for number, opponent, _ in group:
                 races[number][0].retire(opponent, error)
+        else:
+            for (number, opponent, _), action in zip(group, picked, strict=True):
+                actions[number][opponent.agent] = action
     for number, opponent in elsewhere:
         assert opponent.instance is not None  # noqa: S101 - see above
         decision = races[number][0].attempt(opponent, opponent.instance.answer)
@@ -374,21 +372,17 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
         race.write(acted, episode, controls)
 
 
-def _picked(
-    opponents: Sequence[Opponent], seen: Sequence[Any]
-) -> tuple[Sequence[Any], BaseException | None]:
-    """Returns the actions of a group of opponents, or the error that prevented them."""
+def _picked(opponents: Sequence[Opponent], seen: Sequence[Any]) -> Sequence[Any]:
+    """Returns the actions of a group of opponents."""
     code = opponents[0].code
     assert code is not None  # noqa: S101 - it runs in this program
     actors: list[Any] = [opponent.actor for opponent in opponents]
-    try:
-        with code.scope:
-            if code.act_together is None:
-                return [actors[0](seen[0])], None
-            actions = code.act_together(actors, seen)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - the driver's own code
-        return (), error
-    if len(actions) == len(seen):
-        return actions, None
-    text = f"it returned {len(actions)} actions for {len(seen)} karts, expected one for each"
-    return (), AgentError(text)
+    with code.scope:
+        if code.act_together is None:
+            return [actors[0](seen[0])]
+        actions = code.act_together(actors, seen)
+    if len(actions) != len(seen):
+        raise AgentError(
+            f"it returned {len(actions)} actions for {len(seen)} karts, expected one for each"
+        )
+    return actions

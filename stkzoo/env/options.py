@@ -90,7 +90,8 @@ class RaceOptions:
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
         check_mode(self.mode)
-        check_flag("events", self.events)
+        if not isinstance(self.events, bool):
+            raise ConfigError(f"events is {self.events!r}, expected True or False")
         if self.reverse is not None and not isinstance(self.reverse, bool):
             raise ConfigError(f"reverse is {self.reverse!r}, expected True, False or None")
         for name in _SECONDS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.setup import MAX_CAMERAS
-from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import rewards_of_agents
 from stkzoo.env.front import RaceFront
@@ -28,10 +26,8 @@ from stkzoo.env.options import RaceOptions, check_agents, random_stream
 from stkzoo.env.race import Race
 from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.state import state_space
-from stkzoo.views import base_space, views_of_agents
-from stkzoo.views.chains import AgentChains
+from stkzoo.views import AgentChains, views_of_agents
 from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
@@ -57,8 +53,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         view: name of a view for all agents (:data:`stkzoo.views.VIEWS`), a function that wraps a
             Gymnasium environment, or a mapping from agents to views.
         reward: see :mod:`stkzoo.mdp.rewards`.
-        render_mode: with ``"rgb_array"``, :meth:`render` returns a frame; with
-            ``"rgb_array_list"``, the frames since the last call or reset; with ``"human"``, a game
+        render_mode: with ``"rgb_array"``, :meth:`render` returns a frame; with ``"human"``, a game
             window follows the race; ``None`` disables rendering. The render mode does not affect
             the race. On a machine without a display, ``metadata["render_modes"]`` lacks ``"human"``
             and ``reset`` rejects it.
@@ -147,19 +142,10 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         check_agents(specs, num_kart, assets.karts, self._unknown_karts)
         self.possible_agents = [f"kart_{index}" for index in range(len(specs))]
         rewards = rewards_of_agents(reward, self.possible_agents)
-        this = weakref.ref(self)  # cameras do not keep the environment alive
-        cameras = RaceCameras(
-            self.possible_agents, lambda: (env := this()) and env.live_race.episode
-        )
+        cameras = RaceCameras(self.possible_agents)
         views = views_of_agents(view, self.possible_agents)
         ai_agents = {a for a, s in zip(self.possible_agents, specs, strict=True) if s.use_ai}
-        chains = AgentChains(
-            {agent: base_space(wrapped, agent in ai_agents) for agent, wrapped in views.items()},
-            {agent: kart_action_space() for agent in self.possible_agents},
-            cameras.connected(views),
-            ignored=ai_agents,
-            columns=CONTROLS,
-        )
+        chains = AgentChains(views, ai_agents, cameras.by_agent)
         self.observation_spaces = chains.observation_spaces
         self.action_spaces = chains.action_spaces
         self.state_space = state_space(num_kart)
@@ -301,11 +287,6 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-    @property
-    def unwrapped(self) -> RaceParallelEnv:
-        """This environment."""
-        return self
 
     @property
     def agents(self) -> list[str]:

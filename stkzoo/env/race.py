@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,12 +20,13 @@ from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import EndArrays, Episode
-from stkzoo.env.grid import RaceRoster, draw_race
+from stkzoo.env.grid import draw_race, roster_of
 from stkzoo.env.options import RaceOptions, check_agents, random_stream
 from stkzoo.env.rendering import Rendering
 from stkzoo.env.scenario import Scenario, digest_of, read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.env.state import Moment, RaceState, check_beside, checked_state
+from stkzoo.env.vec.starts import AheadStarts, RepeatedStarts
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.kernel import split_batch
 from stkzoo.mdp.rewards import Reward
@@ -36,20 +38,20 @@ if TYPE_CHECKING:
     from stkzoo.drivers import Driver
     from stkzoo.env.opponents import RaceOpponents
     from stkzoo.env.vec.rows import SlotSteps
-    from stkzoo.env.vec.starts import AheadStarts, RepeatedStarts
 
 Controls = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
 Started = tuple[dict[str, Any], dict[str, dict[str, Any]]]
 
 
+@dataclass(kw_only=True, eq=False)
 class Race:
     """One race: its game, its episode, its agents' views and its other parts.
 
     The environments are fronts: they hold races and translate the API of a library. A race is
     reused: each :meth:`start` begins another episode.
 
-    Args:
+    Attributes:
         options: options of the next race.
         specs: options of the agents.
         rewards: reward of each agent, in agent order.
@@ -61,56 +63,39 @@ class Race:
         opponents: drivers of karts that are not agents, if there are any.
         num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
         unknown_karts: see :func:`~stkzoo.env.options.known_kart`.
-
-    Attributes:
-        options: options of the next race.
-        specs: options of the agents.
         possible_agents: ids of all agents.
         ai_agents: agents that the game's AI drives.
         agents: agents that are still racing.
         episode: the current episode; ``None`` before the first start.
         np_random: the random generator from which races are drawn.
         turn: the turn that a thread holds during a call; the fronts take it.
-        new_session: as above.
         session: the session of the current game.
-        starts: begins the game's races, if they do not simply start in the session.
-        rendering: as above.
-        cameras: as above.
-        opponents: as above.
+        starts: begins the game's races.
         is_copy: whether the environment is a copy, which never has the race of its original.
-        has_rows: whether the kernel writes all observations as rows of arrays
-            (:meth:`finish_into`).
-        is_compiled: whether the kernel runs all wrappers of all agents.
     """
 
-    def __init__(
-        self,
-        *,
-        options: RaceOptions,
-        specs: Sequence[AgentSpec],
-        rewards: Mapping[str, Reward],
-        assets: Assets,
-        new_session: Callable[[], Session],
-        chains: AgentChains,
-        rendering: Rendering,
-        cameras: RaceCameras,
-        opponents: RaceOpponents | None,
-        num_cameras: int,
-        unknown_karts: set[str] | None = None,
-    ) -> None:
-        self.options, self.specs = options, specs
-        self.possible_agents = [*rewards]
+    options: RaceOptions
+    specs: Sequence[AgentSpec]
+    rewards: Mapping[str, Reward]
+    assets: Assets
+    new_session: Callable[[], Session]
+    chains: AgentChains
+    rendering: Rendering
+    cameras: RaceCameras
+    opponents: RaceOpponents | None
+    num_cameras: int
+    unknown_karts: set[str] | None = None
+
+    def __post_init__(self) -> None:
+        self.possible_agents = [*self.rewards]
         self.ai_agents = self._agents_of_ai()
         self.agents: list[str] = []
         self.episode: Episode | None = None
-        self.turn, self.is_copy = CallTurn(), False
-        self.new_session, self.session = new_session, new_session()
-        self.starts: AheadStarts | RepeatedStarts | None = None
-        self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
-        self._rewards, self._assets, self._chains = rewards, assets, chains
-        self.has_rows, self.is_compiled = chains.has_rows, chains.is_compiled
-        self._num_cameras, self._unknown_karts = num_cameras, unknown_karts
         self.np_random = random_stream(None)
+        self.turn, self.is_copy = CallTurn(), False
+        self.session = self.new_session()
+        self.starts: AheadStarts | RepeatedStarts = AheadStarts(self.new_session)
+        self.cameras.race = weakref.proxy(self)
         self._stepping: Episode | None = None  # the episode with a running step
 
     def running(self, method: str) -> Episode:
@@ -141,9 +126,9 @@ class Race:
             EngineError: the game does not start.
         """
         self.rendering.check()
-        options = self.options.of_episode(asked, self._assets.tracks)
-        karts, num_kart = self._assets.karts, self.options.num_kart
-        check_agents(self.specs, num_kart, karts, self._unknown_karts)
+        options = self.options.of_episode(asked, self.assets.tracks)
+        karts, num_kart = self.assets.karts, self.options.num_kart
+        check_agents(self.specs, num_kart, karts, self.unknown_karts)
         if self._agents_of_ai() != self.ai_agents:
             raise ConfigError(
                 "use_ai of an agent was changed after the environment was made, which would "
@@ -161,7 +146,7 @@ class Race:
             self.agents, self._stepping = [], None  # in case a wrapper fails
         seats = self.episode.seats(agents)
         infos = self.episode.infos(seats)
-        result = self._chains.reset(seats, self.episode, infos, seed=seed, options=dict(asked))
+        result = self.chains.reset(seats, self.episode, infos, seed=seed, options=dict(asked))
         self.agents = list(agents)
         self.rendering.reset(self.episode)
         return result
@@ -173,7 +158,7 @@ class Race:
             ApiOrderError: no agent was racing any more at the moment of a state or scenario.
             ConfigError: an option is unknown or invalid.
         """
-        self.options.of_episode(asked, self._assets.tracks)
+        self.options.of_episode(asked, self.assets.tracks)
         moment = self._asked_moment(asked)
         if isinstance(moment, Scenario):
             self._drivers_in(moment, copy.deepcopy(self.np_random))
@@ -200,11 +185,10 @@ class Race:
         """Stops the game and all other processes. :meth:`start` works afterwards."""
         self._end()
         self.session.close()
-        if self.starts is not None:
-            self.starts.close()
+        self.starts.close()
         self.rendering.close()
         self.cameras.close()
-        self._chains.close()
+        self.chains.close()
 
     @contextlib.contextmanager
     def exchange(self) -> Iterator[None]:
@@ -231,8 +215,8 @@ class Race:
             ApiOrderError: no race has started, or a step is running.
             EngineError: the game crashed or hung.
         """
-        episode = self._idle()
-        controls = self._chains.decode(actions, episode.seats(self.agents), episode)
+        episode = self._resting("step")
+        controls = self.chains.decode(actions, episode.seats(self.agents), episode)
         if self.opponents is not None:
             drive_opponents([self], [controls])
         self.send(controls)
@@ -250,16 +234,16 @@ class Race:
             self._stepping = None
             return {}, {}, {}, {}, {}
         seats = episode.seats(agents)
-        self._advance(episode, seats, seats.order, episode.record.ends)
-        rewards, terminations, truncations = episode.record.ends
+        self._advance(episode, seats, seats.order, episode.ends)
+        rewards, terminations, truncations = episode.ends
         parts = (
-            self._chains.observe(seats, episode),
+            self.chains.observe(seats, episode),
             split_batch(rewards, seats.agents),
             split_batch(terminations, seats.agents),
             split_batch(truncations, seats.agents),
             episode.infos(seats),
         )
-        self._chains.finish(seats, parts)
+        self.chains.finish(seats, parts)
         _, _, terminated, truncated, _ = parts
         if any(terminated.values()) or any(truncated.values()):
             self.agents = [a for a in agents if not (terminated[a] or truncated[a])]
@@ -268,7 +252,7 @@ class Race:
         return parts
 
     def finish_into(self, steps: SlotSteps, slots: IntArray) -> IntArray:
-        """Does the same as :meth:`finish` with rows of arrays; see :attr:`has_rows`.
+        """Does the same as :meth:`finish` with rows of arrays, if :attr:`chains` have rows.
 
         Args:
             steps: steps of all slots. Gets rewards and ends of the agents that acted, and
@@ -287,8 +271,8 @@ class Race:
             slots = slots[~has_ended]
         if self.agents:
             seats = episode.seats(self.agents)
-            self._chains.observe_into(seats, episode, slots, steps.observations)
-            table = steps.infos.table(episode.record.info_keys)
+            self.chains.observe_into(seats, episode, slots, steps.observations)
+            table = steps.infos.table(episode.info_keys)
             episode.infos_into(seats, slots, table)
             table.has[slots] = True
         return slots
@@ -300,7 +284,7 @@ class Race:
             ActionError: an action is missing or invalid.
             ApiOrderError: no race has started, or a step is running.
         """
-        return self._chains.check(actions, self._idle().seats(self.agents))
+        return self.chains.check(actions, self._resting("step").seats(self.agents))
 
     def check_rows(self, actions: Any, slots: IntArray, count: int) -> CheckedActions | None:
         """Does the same as :meth:`check` for a batch of actions.
@@ -314,7 +298,8 @@ class Race:
             The actions; ``None`` if one is invalid or in an unusual form, or a wrapper runs in
                 Python.
         """
-        return self._chains.check_batch(actions, slots, count, self._idle().seats(self.agents))
+        seats = self._resting("step").seats(self.agents)
+        return self.chains.check_batch(actions, slots, count, seats)
 
     def convert(self, actions: CheckedActions) -> Controls:
         """Converts checked actions to controls, ``(P, 7)`` float32.
@@ -323,7 +308,7 @@ class Race:
             ActionError: a wrapper returned an invalid action.
             AgentException: a wrapper failed.
         """
-        return self._chains.convert(actions, self._idle())
+        return self.chains.convert(actions, self._resting("step"))
 
     def send(self, controls: Controls) -> None:
         """Starts a step in the game.
@@ -340,7 +325,7 @@ class Race:
     def observe(self, agents: Sequence[str]) -> dict[str, Any]:
         """Returns current observations of some agents, before their Python wrappers."""
         episode = self.running("observe")
-        return self._chains.observe(episode.seats(agents), episode)
+        return self.chains.observe(episode.seats(agents), episode)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns current infos of some agents, before their Python wrappers."""
@@ -391,17 +376,17 @@ class Race:
             tuple(self.agents),
             self._roster(),
             copy.deepcopy(self.np_random),
-            self._chains.memory(),
+            self.chains.memory(),
             None if self.opponents is None else self.opponents.moment(episode),
         )
 
     def _check_moment(self, moment: Moment) -> None:
         self._check_roster("state", moment.roster)
-        self._chains.check_memory(moment.memory)
+        self.chains.check_memory(moment.memory)
 
     def _go_on_from(self, moment: Moment) -> None:
         self._stepping = None
-        self._chains.recall(moment.memory)
+        self.chains.recall(moment.memory)
         self.episode = moment.episode.copy()
         self.agents = list(moment.agents)
         self.np_random = copy.deepcopy(moment.random)
@@ -411,15 +396,11 @@ class Race:
         if self.opponents is not None and moment.opponents is not None:
             self.opponents.go_on_from(moment.opponents)
 
-    def _roster(self) -> RaceRoster:
-        return RaceRoster(
-            self.options.num_kart,
-            len(self.possible_agents),
-            frozenset(self.ai_agents),
-            has_opponents=self.opponents is not None,
-        )
+    def _roster(self) -> str:
+        num_kart, num_agents = self.options.num_kart, len(self.possible_agents)
+        return roster_of(num_kart, num_agents, self.ai_agents, self.opponents is not None)
 
-    def _check_roster(self, what: str, roster: RaceRoster) -> None:
+    def _check_roster(self, what: str, roster: str) -> None:
         if roster != self._roster():
             raise ConfigError(
                 f"the {what} has {roster}, but this environment has {self._roster()}; use an "
@@ -436,7 +417,7 @@ class Race:
         for draws_left in reversed(range(MAX_START_DRAWS)):
             setup, kart_indices = self._draw(options, opponents, random)
             try:
-                begun = self._begin(setup)
+                self.session, begun = self.starts.begin(setup, self.session)
                 break
             except ConfigError:  # a place where no kart can stand
                 if not draws_left or not is_random(options.start):
@@ -447,7 +428,7 @@ class Race:
         """Starts an episode at a saved moment."""
         state.resume_in(self.session)
         self._go_on_with_opponents(state.moment)
-        return state.moment.episode.restarted(options, self._rewards)
+        return state.moment.episode.restarted(options, self.rewards)
 
     def _from_scenario(self, scenario: Scenario, options: RaceOptions) -> Episode:
         """Drives a race to the moment of a scenario."""
@@ -470,26 +451,20 @@ class Race:
         begun: RaceStart,
         drivers: Sequence[Driver],
     ) -> Episode:
-        root = self._assets.root
-        episode = Episode(options, setup, kart_indices, begun, self._rewards, root)
+        root = self.assets.root
+        episode = Episode(options, setup, kart_indices, begun, self.rewards, root)
         if self.opponents is not None:
             self.opponents.begin(drivers, episode)
         return episode
 
-    def _begin(self, setup: RaceSetup) -> RaceStart:
-        if self.starts is None:
-            return self.session.start(setup)
-        self.session, begun = self.starts.begin(setup, self.session)
-        return begun
-
     def _draw(
         self, options: RaceOptions, opponents: Sequence[AgentSpec], random: np.random.Generator
     ) -> tuple[RaceSetup, tuple[int, ...]]:
-        tracks = options.tracks(self._assets.tracks)
+        tracks = options.tracks(self.assets.tracks)
         has_window = self.rendering.mode == "human"
-        karts = self._assets.karts
+        karts = self.assets.karts
         specs = [spec if spec.kart in karts else replace(spec, kart="") for spec in self.specs]
-        return draw_race(options, specs, tracks, self._num_cameras, has_window, random, opponents)
+        return draw_race(options, specs, tracks, self.num_cameras, has_window, random, opponents)
 
     def _draw_opponents(
         self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator
@@ -519,7 +494,7 @@ class Race:
         moment: RaceState | Scenario
         if asked.get("scenario") is not None:
             what, moment = "scenario", read_scenario(asked["scenario"])
-            if moment.setup.track not in self._assets.tracks:
+            if moment.setup.track not in self.assets.tracks:
                 raise ConfigError(
                     f"the scenario's track {moment.setup.track!r} is not here; `stkzoo assets "
                     "status` shows where the game's data comes from"
@@ -552,19 +527,11 @@ class Race:
         finally:
             self._stepping = None
 
-    def _idle(self) -> Episode:
-        """Returns the current episode; raises if it is already stepping."""
-        episode = self.running("step")
-        if self._stepping is episode:
-            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
-        return episode
-
     def _awaited(self) -> Episode:
         """Returns the episode that is stepping."""
-        episode = self._stepping
-        if episode is None or episode is not self.episode:
+        if self._stepping is None:
             raise ApiOrderError("step_wait() without step_async(); call step_async() first")
-        return episode
+        return self._stepping
 
     def _resting(self, method: str) -> Episode:
         """Returns the current episode; raises if a step is running."""

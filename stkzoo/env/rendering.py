@@ -19,7 +19,7 @@ from stkzoo.render.scene import Scene
 from stkzoo.wrappers.camera import checked_size
 
 #: The render modes; ``None`` disables rendering.
-RENDER_MODES = ("human", "rgb_array", "rgb_array_list")
+RENDER_MODES = ("human", "rgb_array")
 
 _PRESETS = ("ld", "sd", "hd")
 
@@ -50,7 +50,6 @@ class Rendering:
         preset = drawing_preset(mode, graphics_config)
         pixels = checked_size(size, "render_size")
         self._renderer = RaceRenderer(backend, pixels, preset, has_window=mode == "human")
-        self._list: list[Picture] = []
 
     @property
     def backend(self) -> str:
@@ -68,20 +67,17 @@ class Rendering:
 
     def reset(self, episode: Episode) -> None:
         """Prepares for a new episode."""
-        self._list.clear()
         self._renderer.begin(scene_of(episode))
         self.follow(episode)
 
     def follow(self, episode: Episode) -> None:
-        """Updates the window or the list of frames after a step."""
+        """Updates the window, or the trails on the map, after a step."""
         if self.mode is None:
             return
         self._renderer.follow(scene_of(episode))
         self._renderer.remember(episode.snapshot)
         if self.mode == "human":
             self._renderer.show(episode.snapshot)
-        elif self.mode == "rgb_array_list":
-            self._list.append(self._renderer.picture(episode.snapshot))
 
     def render(self, episode: Episode | None) -> Any:
         """Returns the result of the environment's ``render()``."""
@@ -96,9 +92,6 @@ class Rendering:
             return None
         if episode is None:
             raise ApiOrderError("render() before reset(); call reset() first")
-        if self.mode == "rgb_array_list":
-            frames, self._list = self._list, []
-            return frames
         self._renderer.follow(scene_of(episode))
         return self._renderer.picture(episode.snapshot)
 
@@ -111,7 +104,6 @@ class Rendering:
 
     def close(self) -> None:
         """Stops the render process, if there is one."""
-        self._list.clear()
         self._renderer.close()
 
 

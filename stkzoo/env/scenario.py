@@ -22,7 +22,7 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.env.grid import RaceRoster
+from stkzoo.env.grid import roster_of
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
 
@@ -130,12 +130,11 @@ class Scenario:
         return replace(self.setup, karts=tuple(renamed))
 
     @property
-    def roster(self) -> RaceRoster:
-        """Karts and agents of the race."""
+    def roster(self) -> str:
+        """Karts and agents of the race, in words."""
         karts = self.setup.karts
-        driven = (n for n, kart in enumerate(self.kart_indices) if karts[kart].is_bot)
-        ai_agents = frozenset(f"kart_{number}" for number in driven)
-        return RaceRoster(len(karts), len(self.kart_indices), ai_agents, bool(self.opponents))
+        ai_agents = {f"kart_{n}" for n, kart in enumerate(self.kart_indices) if karts[kart].is_bot}
+        return roster_of(len(karts), len(self.kart_indices), ai_agents, bool(self.opponents))
 
 
 def read_scenario(choice: object) -> Scenario:

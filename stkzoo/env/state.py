@@ -11,7 +11,6 @@ import numpy as np
 
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.env.episode import Episode
-from stkzoo.env.grid import RaceRoster
 from stkzoo.env.options import OF_AN_EPISODE, RaceOptions
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.views.chains import ChainsMemory
@@ -27,7 +26,7 @@ class Moment:
     Attributes:
         episode: the race and its counters.
         agents: agents that are still racing.
-        roster: karts and agents of the race.
+        roster: karts and agents of the race, in words.
         random: the environment's random generator.
         memory: state of the agents' wrappers.
         opponents: state of the opponents, if there are any.
@@ -35,7 +34,7 @@ class Moment:
 
     episode: Episode
     agents: tuple[str, ...]
-    roster: RaceRoster
+    roster: str
     random: np.random.Generator
     memory: ChainsMemory
     opponents: OpponentsMoment | None = None
@@ -55,7 +54,7 @@ class RaceState:
         race: names of the race and its karts.
         snapshot: snapshot of all karts at the saved moment.
         agents: agents that were still racing.
-        roster: karts and agents of the race.
+        roster: karts and agents of the race, in words.
     """
 
     def __init__(self, session: Session, moment: Moment) -> None:

@@ -6,11 +6,8 @@ All functions process the whole race at once, as arrays with a leading axis of k
 from stkzoo.mdp import rewards
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.mdp.spaces import action_of, as_actions, kart_action_space, kart_observation_space
-from stkzoo.mdp.state import GLOBAL_FEATURES, KART_FEATURES
 
 __all__ = [
-    "GLOBAL_FEATURES",
-    "KART_FEATURES",
     "action_of",
     "as_actions",
     "kart_action_space",

@@ -99,7 +99,8 @@ class Reward:
             check_name("reward term", name, self.terms)
             if not isinstance(weight, Real) or not np.isfinite(float(weight)):
                 raise ConfigError(
-                    f"weight of reward term {name!r} is {weight!r}, expected a finite number"
+                    f"weight of reward term {name!r} is {weight!r}, expected a finite number, or a "
+                    "function to define the term"
                 )
 
     def __call__(self, step: Transition) -> dict[str, FloatArray]:
@@ -128,7 +129,7 @@ class Reward:
                 f"reward term {name!r} returned {shortened(returned)}, expected an array of shape "
                 f"{shape}: a finite number for each kart"
             )
-        return value.astype(np.float64) * self.weights.get(name, 1.0)
+        return value.astype(np.float64) * float(self.weights.get(name, 1.0))
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """Returns a copy with changed weights (numbers) and added or replaced terms (functions).
@@ -136,17 +137,9 @@ class Reward:
         Raises:
             ConfigError: a change is neither a number nor a function, or a weight has no term.
         """
-        terms, weights = dict(self.terms), dict(self.weights)
-        for name, change in changes.items():
-            if callable(change):
-                terms[name] = change
-            elif isinstance(change, Real):
-                weights[name] = float(change)
-            else:
-                raise ConfigError(
-                    f"reward term {name!r} is {change!r}, expected a weight or a function"
-                )
-        return Reward(terms, weights)
+        added = {name: change for name, change in changes.items() if callable(change)}
+        weights = {name: weight for name, weight in changes.items() if name not in added}
+        return Reward({**self.terms, **added}, {**self.weights, **weights})  # type: ignore[dict-item]
 
 
 #: The built-in rewards. ``race`` is the default: driving better earns more. A kart that drives a

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -126,23 +126,3 @@ def extras_of(space: spaces.Space[Any]) -> frozenset[str]:
     """Returns the :data:`EXTRAS` that observations of a space contain."""
     entries = space.spaces if isinstance(space, spaces.Dict) else {}
     return frozenset(extra for extra, entry in EXTRAS.items() if entry in entries)
-
-
-def columns_of(
-    name: str, space: spaces.Space[Any], values: Sequence[Any]
-) -> dict[str, npt.NDArray[Any]]:
-    """Stacks values along a leading time axis, with one array per dict entry (``name/key``).
-
-    Args:
-        name: name of the array.
-        space: space of the values.
-        values: one value per time step.
-    """
-    parts = getattr(space, "spaces", None)
-    if not isinstance(parts, Mapping):
-        shape = space.shape or ()
-        return {name: np.array(values, space.dtype).reshape(len(values), *shape)}
-    columns: dict[str, npt.NDArray[Any]] = {}
-    for key, part in parts.items():
-        columns |= columns_of(f"{name}/{key}", part, [value[key] for value in values])
-    return columns

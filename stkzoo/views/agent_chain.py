@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -18,7 +18,10 @@ from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
 from stkzoo.views.actions import fit_action, read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.plan import ViewPlan
-from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
+from stkzoo.views.split_step import AgentStep, MonoAgentEnv, SplitStep
+
+if TYPE_CHECKING:
+    from stkzoo.wrappers.camera import Camera
 
 _FITTED = "It is clipped, and unknown keys are ignored; this is logged once in a race."
 logger = logging.getLogger(__name__)
@@ -81,21 +84,11 @@ class WrapperMemory:
         memo = {id(owner): owner for owner in owners}
         return cls(tuple(owners), copy.deepcopy([vars(o) for o in owners], memo | _spaces(owners)))
 
-    def check(self, others: Sequence[Any]) -> None:
-        """Checks that other objects can take over this memory.
-
-        Raises:
-            TypeError: their classes differ.
-        """
-        here, there = ([type(o) for o in objects] for objects in (self.owners, others))
-        if here != there:
-            raise TypeError(f"they are {_names(there)}; the state's were {_names(here)}")
-
     def give_to(self, others: Sequence[Any]) -> None:
         """Writes the attributes to other objects, or back to the same ones; they keep their spaces.
 
         Args:
-            others: objects of the same classes in the same order (:meth:`check`).
+            others: objects of the same classes in the same order.
         """
         memo: dict[int, Any] = dict(zip(map(id, self.owners), others, strict=True))
         for owner, other in zip(self.owners, others, strict=True):
@@ -129,6 +122,7 @@ class AgentChain:
         observation_space: observations without wrappers.
         action_space: actions without wrappers.
         factory: wraps the agent's environment.
+        camera: the agent's camera, if the race can render.
         is_strict: see above; by default, that of the class. The first such action of a race is then
             logged.
 
@@ -145,6 +139,7 @@ class AgentChain:
         observation_space: spaces.Space[Any],
         action_space: spaces.Space[Any],
         factory: WrapperFactory,
+        camera: Camera | None = None,
         is_strict: bool | None = None,
     ) -> None:
         self.agent, self.num_clipped = agent, 0
@@ -153,14 +148,12 @@ class AgentChain:
             self.is_strict = is_strict
         self.base_observation_space = observation_space
         self.base_action_space = action_space
-        self._mono = MonoAgentEnv(observation_space, action_space)
-        self._split_step: SplitStep | None = None
+        self._mono = MonoAgentEnv(observation_space, action_space, camera)
         with agent_failures(agent, "wrap its environment", (ConfigError,)):
             self.env = self._mono if factory is None else factory(self._mono)
             self._set_wrappers(_wrappers_between(self.env, self._mono))
             self.observation_space = self.env.observation_space
             self.action_space = self.env.action_space
-        self._door: MonoAgentEnv | CompiledPart = self._mono
         self._owners = (*self._wrappers, self._mono)
 
     def _set_wrappers(self, wrappers: tuple[Any, ...]) -> None:
@@ -168,20 +161,16 @@ class AgentChain:
         self._is_plain = all(map(_has_plain_step, wrappers))
         self.is_pure = all(_is_compiled(w) and not w.has_memory for w in wrappers)
 
-    def compile(self, columns: Sequence[str]) -> ViewPlan:
+    def compile(self) -> ViewPlan:
         """Moves the innermost wrappers that the kernel implements to the kernel.
 
         Afterwards, the chain's base spaces are those of the innermost wrapper that remains.
-
-        Args:
-            columns: keys of the base actions, in the order of the controls.
 
         Returns:
             The plan for the kernel.
         """
         observed: Any = self.base_observation_space
-        acted: Any = self.base_action_space
-        plan = ViewPlan(observed, acted, columns)
+        plan = ViewPlan(observed)
         walked = list(self._wrappers)
         compiled = None
         while walked and _is_compiled(walked[-1]) and walked[-1].compile_into(plan):
@@ -190,8 +179,7 @@ class AgentChain:
             self.base_observation_space = compiled.observation_space
             self.base_action_space = compiled.action_space
         if compiled is not None and walked:
-            walked[-1].env = self._door = CompiledPart(compiled)
-            self._owners = (*self._owners, self._door)
+            self._mono.replace(compiled)
         self._set_wrappers(tuple(walked))
         return plan
 
@@ -214,14 +202,14 @@ class AgentChain:
             AgentException: a wrapper failed.
         """
         self.abandon()
-        self._door.first = observation, info
+        self._mono.first = observation, info
         try:
             with agent_failures(self.agent, "reset"):
                 result = self.env.reset(seed=seed, options=options)
                 observation, info = _parts_of(result, "observation", "info")
                 return observation, info
         finally:
-            self._door.first = None
+            self._mono.first = None
 
     def read_action(self, action: object) -> Any:
         """Checks an action and returns it in Gymnasium's form.
@@ -232,33 +220,31 @@ class AgentChain:
         return self._checked(self.action_space, action, "action")
 
     def begin_step(self, action: Any) -> Any:
-        """Runs the part before the race's step; returns the base action for the agent's action."""
-        self.abandon()
-        with agent_failures(self.agent, "change its action"):
-            if self._is_plain:
-                for wrapper in self._wrappers:
-                    if type(wrapper).step in _ACTING:
-                        action = wrapper.action(action)
-                return action
-            self._split_step = SplitStep(self.env.step, action)
-            self._door.handler = self._split_step
-            try:
-                return self._split_step.begin()
-            except BaseException:
-                self.abandon()
-                raise
-
-    def begin_base_step(self, action: Any) -> Any:
-        """Runs :meth:`begin_step` and checks the base action of custom wrappers.
+        """Runs the part before the race's step; returns the base action for the agent's action.
 
         Raises:
             ActionError: the wrappers returned an action outside the base space.
         """
-        base = self.begin_step(action)
+        self.abandon()
+        with agent_failures(self.agent, "change its action"):
+            base = self._pass_in(action) if self._is_plain else self._begin_split_step(action)
         if self.is_pure:
             return base  # as valid as the action
-        name = "action after its wrappers" if self._wrappers else "action"
-        return self._checked(self.base_action_space, base, name)
+        return self._checked(self.base_action_space, base, "action after its wrappers")
+
+    def _pass_in(self, action: Any) -> Any:
+        for wrapper in self._wrappers:
+            if type(wrapper).step in _ACTING:
+                action = wrapper.action(action)
+        return action
+
+    def _begin_split_step(self, action: Any) -> Any:
+        begun = self._mono.handler = SplitStep(self.env.step, action)
+        try:
+            return begun.begin()
+        except BaseException:
+            self.abandon()
+            raise
 
     def _checked(self, space: spaces.Space[Any], action: object, name: str) -> Any:
         try:
@@ -290,22 +276,21 @@ class AgentChain:
         return observation, reward, terminated, truncated, info
 
     def _finish_split_step(self, result: AgentStep) -> AgentStep:
-        begun, self._split_step = self._split_step, None
+        begun = self._mono.handler
         if begun is None:
             raise RuntimeError("a step was finished that was never begun.")
         try:
             return begun.finish(result)
         finally:
-            self._door.handler = None
+            self._mono.handler = None
 
     def abandon(self) -> None:
         """Discards a step that has begun and will not be finished."""
-        self._door.handler = None
-        if self._split_step is not None:
-            self._split_step.abandon()
-            self._split_step = None
+        begun, self._mono.handler = self._mono.handler, None
+        if begun is not None:
+            begun.abandon()
 
-    def _remembering(self) -> tuple[Any, ...]:
+    def remembering(self) -> tuple[Any, ...]:
         """Returns the objects with a memory: none if all wrappers are pure functions."""
         return () if self.is_pure else self._owners
 
@@ -317,29 +302,20 @@ class AgentChain:
         """
         self.abandon()
         with agent_failures(self.agent, "have their state copied"):
-            return WrapperMemory.of(self._remembering())
-
-    def check_memory(self, memory: WrapperMemory) -> None:
-        """Checks that :meth:`recall` accepts a memory.
-
-        Raises:
-            AgentException: the memory belongs to other wrappers.
-        """
-        with agent_failures(self.agent, "take over a saved state"):
-            memory.check(self._remembering())
+            return WrapperMemory.of(self.remembering())
 
     def recall(self, memory: WrapperMemory) -> None:
         """Restores the wrappers' state from :meth:`memory` of this or an equal chain.
 
         Args:
-            memory: a memory that :meth:`check_memory` accepts.
+            memory: a memory of wrappers of the same classes.
 
         Raises:
             AgentException: a wrapper's memory cannot be copied.
         """
         self.abandon()
         with agent_failures(self.agent, "take over a saved state"):
-            memory.give_to(self._remembering())
+            memory.give_to(self.remembering())
 
     def close(self) -> None:
         """Discards a step that has begun and closes the wrappers."""
@@ -347,14 +323,9 @@ class AgentChain:
         with agent_failures(self.agent, "close"):
             self.env.close()
 
-    def __getstate__(self) -> dict[str, Any]:
-        self.abandon()
-        return self.__dict__
-
     def __del__(self) -> None:
-        begun = self.__dict__.get("_split_step")
-        if begun is not None:
-            begun.abandon()
+        if "_mono" in vars(self):
+            self.abandon()
 
 
 def _wrappers_between(env: object, mono: MonoAgentEnv) -> tuple[Any, ...]:
@@ -410,7 +381,3 @@ def _is_compiled(wrapper: Any) -> bool:
 def _spaces(owners: Sequence[Any]) -> dict[int, Any]:
     values = [value for owner in owners for value in vars(owner).values()]
     return {id(value): value for value in values if isinstance(value, spaces.Space)}
-
-
-def _names(kinds: list[type]) -> str:
-    return ", ".join(wrapper_class.__name__ for wrapper_class in kinds) or "pure functions"

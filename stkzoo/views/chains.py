@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.agent_names import actions_by_agent
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController, new_batch, split_batch
-from stkzoo.mdp.spaces import as_actions
+from stkzoo.mdp.spaces import as_actions, kart_action_space
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import (
     ObservationSource,
@@ -24,7 +25,11 @@ from stkzoo.views.plan import (
     is_extra,
     write_rows,
 )
-from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts
+from stkzoo.views.registry import ViewFactory, base_space
+from stkzoo.views.walker import ChainWalker, StepParts
+
+if TYPE_CHECKING:
+    from stkzoo.wrappers.camera import Camera
 
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
@@ -109,12 +114,14 @@ class _Group:
         seats: where they sit.
         places: their places among the seats of all agents.
         numbers: their rows in the memory of the car controllers.
+        is_walked: whether their actions pass through Python wrappers first.
     """
 
     kernel: _PlanKernel
     seats: Seats
     places: IntArray
     numbers: IntArray
+    is_walked: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +131,13 @@ class _Roster:
     Attributes:
         seats: the seats.
         groups: all agents.
-        read: those whose actions the kernel reads directly.
-        walking: those whose actions pass through Python wrappers first.
+        acting: those that the game's AI does not drive.
         walked: all agents with Python wrappers.
     """
 
     seats: Seats
     groups: tuple[_Group, ...]
-    read: tuple[_Group, ...]
-    walking: tuple[_Group, ...]
+    acting: tuple[_Group, ...]
     walked: tuple[str, ...]
 
 
@@ -180,38 +185,40 @@ class AgentChains:
         has_rows: whether it does and observations have a fixed size, for :meth:`observe_into`.
 
     Args:
-        observation_spaces: each agent's space in the ``full`` view.
-        action_spaces: each agent's base action space, the same ``Dict`` for all.
-        factories: views by agent; agents that are missing or ``None`` have no wrappers.
+        views: view of each agent.
         ignored: agents that the game's AI drives. Their actions are optional and ignored, and their
-            base actions are zeros.
-        columns: keys of the base actions, in the order of the columns that :meth:`decode` returns.
+            controls are zeros.
+        cameras: cameras by agent, if the race can render.
 
     Raises:
-        AgentException: a factory failed, or did not return a wrapper of its argument.
-        ConfigError: a view belongs to no agent, is unknown, or rejects its environment or options.
+        AgentException: a view failed, or did not return a wrapper of its argument.
+        ConfigError: a view rejects its environment or options.
     """
 
     def __init__(
         self,
-        observation_spaces: Mapping[str, spaces.Dict],
-        action_spaces: Mapping[str, spaces.Dict],
-        factories: Factories,
-        ignored: Collection[str],
-        columns: Sequence[str],
+        views: Mapping[str, ViewFactory],
+        ignored: Collection[str] = (),
+        cameras: Mapping[str, Camera] | None = None,
     ) -> None:
-        self._columns = tuple(columns)
-        self._walker = ChainWalker(observation_spaces, action_spaces, factories)
+        seen = {agent: base_space(view, agent in ignored) for agent, view in views.items()}
+        acted = {agent: kart_action_space() for agent in views}
+        self._walker = ChainWalker(seen, acted, views, cameras)
         self._chains = self._walker.chains
-        self._plans = {agent: chain.compile(columns) for agent, chain in self._chains.items()}
-        self._identities = {agent: plan.identity() for agent, plan in self._plans.items()}
+        self._plans = {agent: chain.compile() for agent, chain in self._chains.items()}
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
         self._ignored = frozenset(ignored)
-        self._kernels: dict[Hashable, _PlanKernel] = {}
+        kernels: dict[Hashable, _PlanKernel] = {}  # by identity, shared by agents
+        self._kernels: dict[str, _PlanKernel] = {}
+        for agent, plan in self._plans.items():
+            identity, space = plan.identity(), self._chains[agent].base_observation_space
+            self._kernels[agent] = kernels.get(identity) or _PlanKernel(plan, space)
+            kernels[identity] = self._kernels[agent]
         #: Wheel angle [rad], remaining speed change [m/s] and step length [s] of each agent with
         #: actions in physical units
         #: (:class:`~stkzoo.kernel.CarController`).
         self._cars = np.zeros((len(self._chains), 3))
+        self._has_car = np.array([plan.car is not None for plan in self._plans.values()], np.bool_)
         self._latest_roster: _Roster | None = None
         self.observation_spaces = self._walker.observation_spaces
         self.action_spaces = self._walker.action_spaces
@@ -234,8 +241,7 @@ class AgentChains:
             source: the race at this moment.
 
         Returns:
-            ``(seats.num_rows, n)`` float32, with the constructor's ``columns``. Rows without an
-                agent are zeros.
+            Controls ``(seats.num_rows, 7)`` float32. Rows without an agent are zeros.
 
         Raises:
             ActionError: an action is missing or not in its space.
@@ -250,12 +256,15 @@ class AgentChains:
             ActionError: an action is missing or not in its space.
         """
         roster = self._roster(seats)
-        controls = np.zeros((seats.num_rows, len(self._columns)), np.float32)
+        controls = np.zeros((seats.num_rows, len(CONTROLS)), np.float32)
         walked: Mapping[str, Any] = {}
         unread = [
             group
-            for group in roster.read
-            if not group.kernel.reader.read(actions, group.seats.agents, group.seats.rows, controls)
+            for group in roster.acting
+            if not group.is_walked
+            and not group.kernel.reader.read(
+                actions, group.seats.agents, group.seats.rows, controls
+            )
         ]
         if unread or roster.walked:
             actions = actions_by_agent(actions, seats.agents, self._ignored)
@@ -283,12 +292,12 @@ class AgentChains:
                 :meth:`check` converts or rejects.
         """
         roster = self._roster(seats)
-        controls = np.zeros((seats.num_rows, len(self._columns)), np.float32)
+        controls = np.zeros((seats.num_rows, len(CONTROLS)), np.float32)
         is_read = not roster.walked and all(
             group.kernel.reader.read(
                 batch, slots[group.places], group.seats.rows, controls, num_slots
             )
-            for group in roster.read
+            for group in roster.acting
         )
         return CheckedActions(roster, controls, {}) if is_read else None
 
@@ -307,12 +316,11 @@ class AgentChains:
             AgentException: a wrapper failed.
         """
         roster, controls = checked.roster, checked.controls
-        if roster.walked:
-            base = self._walker.begin_step(checked.walked, roster.walked)
-            for group in roster.walking:
-                group.kernel.reader.read(base, group.seats.agents, group.seats.rows, controls)
-        for group in (*roster.read, *roster.walking):
+        base = self._walker.begin_step(checked.walked, roster.walked) if roster.walked else {}
+        for group in roster.acting:
             car, seats = group.kernel.car, group.seats
+            if group.is_walked:
+                group.kernel.reader.read(base, seats.agents, seats.rows, controls)
             if car is not None:  # the controls are in physical units
                 data, numbers = source.snapshot.data, group.numbers
                 car.drive(controls, seats.rows, data, seats.karts, self._cars, numbers)
@@ -326,8 +334,7 @@ class AgentChains:
             source: the race at this moment.
         """
         groups = self._roster(seats).groups
-        # With one group, the agents are in order already.
-        if len(groups) == 1:
+        if len(groups) == 1:  # the agents are in order already
             return groups[0].kernel.observe(source, groups[0].seats)
         observations: dict[str, Any] = dict.fromkeys(seats.agents)
         for group in groups:
@@ -356,7 +363,6 @@ class AgentChains:
         *,
         seed: int | None = None,
         options: dict[str, Any] | None = None,
-        failed: Failures | None = None,
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets all wrappers with the race's first observations.
 
@@ -366,8 +372,6 @@ class AgentChains:
             infos: infos by agent.
             seed: seed of the wrappers' ``np_random``: agent ``n`` gets ``seed + n``.
             options: passed to the ``reset`` of every wrapper, with the ``step_size`` of the race.
-            failed: gets the errors of agents whose wrappers fail. Without it, the first one is
-                raised.
 
         Returns:
             Observations and infos by agent.
@@ -376,29 +380,29 @@ class AgentChains:
             AgentException: a wrapper failed.
         """
         self._walker.abandon()
-        self._reset_cars(source.step_size)
+        self._cars[:] = 0.0
+        self._cars[self._has_car, 2] = source.step_size
         observations = self.observe(seats, source)
         new_infos = {agent: dict(infos[agent]) for agent in seats.agents}
         walked = self._roster(seats).walked
         options = {**(options or {}), "step_size": source.step_size}
-        self._walker.reset(walked, observations, new_infos, seed, options, failed)
+        self._walker.reset(walked, observations, new_infos, seed, options)
         return observations, new_infos
 
-    def finish(self, seats: Seats, parts: StepParts, failed: Failures | None = None) -> None:
+    def finish(self, seats: Seats, parts: StepParts) -> None:
         """Runs the second half of the wrappers' steps; call it once after each :meth:`decode`.
 
         Args:
             seats: the agents that acted.
             parts: result of the step, with observations from :meth:`observe`; the wrapped results
                 replace it in place.
-            failed: see :meth:`reset`.
 
         Raises:
-            AgentException: a wrapper failed.
+            AgentException: a wrapper failed; the agents after this one have not finished the step.
         """
         walked = self._roster(seats).walked
         if walked:
-            self._walker.finish_step(walked, parts, failed)
+            self._walker.finish_step(walked, parts)
 
     def memory(self) -> ChainsMemory:
         """Returns a copy of the state of all agents' wrappers.
@@ -416,12 +420,16 @@ class AgentChains:
             AgentException: an agent has other wrappers.
         """
         for number, (agent, chain) in enumerate(self._chains.items()):
-            chain.check_memory(memory.wrappers[agent])
-            has_car = self._plans[agent].car is not None
-            if has_car != (memory.cars[number, 2] > 0):
+            here = _classes(chain.remembering(), self._has_car[number])
+            there = _classes(memory.wrappers[agent].owners, memory.cars[number, 2] > 0)
+            if here != there:
+                names, others = (
+                    ", ".join(each.__name__ for each in classes) or "pure functions"
+                    for classes in (here, there)
+                )
                 raise AgentException(
-                    f"the wrappers of agent {agent!r} failed to take over a saved state: "
-                    f"they act {'' if has_car else 'not '}in physical units, unlike the state's",
+                    f"the wrappers of agent {agent!r} failed to take over a saved state: they are "
+                    f"{names}; the state's were {others}",
                     agent,
                 )
 
@@ -443,12 +451,6 @@ class AgentChains:
         """Closes all wrappers."""
         self._walker.close()
 
-    def _reset_cars(self, step_size: float) -> None:
-        self._cars[:] = 0.0
-        for number, plan in enumerate(self._plans.values()):
-            if plan.car is not None:
-                self._cars[number, 2] = step_size
-
     def _roster(self, seats: Seats) -> _Roster:
         roster = self._latest_roster
         if roster is None or roster.seats is not seats:
@@ -456,35 +458,27 @@ class AgentChains:
         return roster
 
     def _new_roster(self, seats: Seats) -> _Roster:
-        ways: dict[tuple[bool, bool], dict[Hashable, list[int]]] = {}
+        places_of: dict[tuple[bool, bool, _PlanKernel], list[int]] = {}
         for place, agent in enumerate(seats.agents):
-            way = agent in self._ignored, self._chains[agent].is_empty
-            same = ways.setdefault(way, {})
-            same.setdefault(self._identities[agent], []).append(place)
-        by_way = {
-            way: [self._group(seats, np.array(places)) for places in same.values()]
-            for way, same in ways.items()
-        }
+            way = agent in self._ignored, not self._chains[agent].is_empty, self._kernels[agent]
+            places_of.setdefault(way, []).append(place)
+        groups = {way: self._group(seats, places, *way[1:]) for way, places in places_of.items()}
         return _Roster(
             seats,
-            groups=tuple(group for groups in by_way.values() for group in groups),
-            read=tuple(by_way.get((False, True), ())),
-            walking=tuple(by_way.get((False, False), ())),
+            groups=tuple(groups.values()),
+            acting=tuple(group for (is_ignored, *_), group in groups.items() if not is_ignored),
             walked=tuple(agent for agent in seats.agents if not self._chains[agent].is_empty),
         )
 
-    def _group(self, seats: Seats, places: IntArray) -> _Group:
-        group_seats = seats.at(places)
+    def _group(
+        self, seats: Seats, places: Sequence[int], is_walked: bool, kernel: _PlanKernel
+    ) -> _Group:
+        at = np.array(places)
+        group_seats = seats.at(at)
         numbers = np.array([self._numbers[agent] for agent in group_seats.agents], np.intp)
-        return _Group(self._kernel_of(group_seats.agents[0]), group_seats, places, numbers)
+        return _Group(kernel, group_seats, at, numbers, is_walked)
 
-    def _kernel_of(self, agent: str) -> _PlanKernel:
-        identity = self._identities[agent]
-        if identity not in self._kernels:
-            space = self._chains[agent].base_observation_space
-            self._kernels[identity] = _PlanKernel(self._plans[agent], space)
-        return self._kernels[identity]
 
-    def __getstate__(self) -> dict[str, Any]:
-        # The kernel objects are made again from the plans on demand.
-        return {**self.__dict__, "_kernels": {}, "_latest_roster": None}
+def _classes(owners: Sequence[Any], has_car: bool | np.bool_) -> list[type]:
+    """Returns the classes of what an agent's wrappers remember."""
+    return [*map(type, owners), *([CarController] if has_car else [])]

@@ -11,7 +11,7 @@ returns their rows.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.kernel import ActionReader, CarController, KartObserver
-from stkzoo.mdp.spaces import extras_of
+from stkzoo.mdp.spaces import extras_of, kart_action_space
 
 if TYPE_CHECKING:
     from stkzoo.wrappers.control import ControlWrapper
@@ -112,7 +113,6 @@ class ViewPlan:
         nitro: which actions press nitro, if there is an action mask.
         fire: which actions fire, if there is an action mask.
         observer: custom observer, if there is one.
-        columns: names of the controls.
         leaves: numbers of an action by key; ``""`` if the action is a single array or number.
         car: wrapper of actions in physical units, if there is one.
         has_action: whether observations include the ``action`` of the game's AI.
@@ -120,16 +120,9 @@ class ViewPlan:
 
     Args:
         observation_space: space of the ``full`` view.
-        action_space: space of the game's actions.
-        columns: keys of the actions in the order of the controls.
     """
 
-    def __init__(
-        self,
-        observation_space: spaces.Dict,
-        action_space: spaces.Dict,
-        columns: Sequence[str],
-    ) -> None:
+    def __init__(self, observation_space: spaces.Dict) -> None:
         self.names = tuple(observation_space.spaces)
         self.sizes: dict[str, int] = {}
         self.is_polar = self.is_flat = False
@@ -137,9 +130,9 @@ class ViewPlan:
         self.nitro: npt.NDArray[np.bool_] | None = None
         self.fire: npt.NDArray[np.bool_] | None = None
         self.observer: RowObserver | None = None
-        self.columns = tuple(columns)
+        actions = kart_action_space()
         self.leaves: dict[str, Leaf] = {
-            key: (_entry(action_space[key], column),) for column, key in enumerate(columns)
+            key: (_entry(actions[key], column),) for column, key in enumerate(CONTROLS)
         }
         self.car: ControlWrapper | None = None
         self.has_action = "action" in observation_space.spaces
@@ -167,7 +160,7 @@ class ViewPlan:
         Args:
             choices: ``(n, m)`` int64, the vector of choices for each number.
         """
-        table = np.zeros((len(choices), len(self.columns)), np.float32)
+        table = np.zeros((len(choices), len(CONTROLS)), np.float32)
         for entry, values in zip(self.leaves[""], choices.T, strict=True):
             low, high, _, column, controls = entry
             if controls is None:

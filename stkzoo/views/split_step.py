@@ -23,19 +23,64 @@ if TYPE_CHECKING:
 AgentStep = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 
 
-class AgentSide:
-    """One agent's side of a race, which replaces an environment that advances by itself.
+class MonoAgentEnv(gym.Env[Any, Any]):
+    """One agent's side of a race, as the innermost environment of its wrappers.
 
     Because all agents step together, ``reset`` returns a value that is set before, and ``step``
     passes the action on to the race's step.
 
     Attributes:
+        camera: the agent's camera, if the race can render.
         handler: handler of ``step``; with ``None``, ``step`` raises an error.
         first: result of ``reset``; with ``None``, ``reset`` raises an error.
+
+    Args:
+        observation_space: observations before any wrapper.
+        action_space: actions after all wrappers.
+        camera: as above.
     """
 
+    # A slot is not part of vars(), so ``WrapperMemory`` skips the camera, which is the race's.
+    __slots__ = ("camera",)
+
+    # Annotated here because Gymnasium does not annotate the values.
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    render_mode = None
     handler: SplitStep | None = None
     first: tuple[Any, dict[str, Any]] | None = None
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        camera: Camera | None,
+    ) -> None:
+        self.observation_space, self.action_space = observation_space, action_space
+        self.camera = camera
+
+    def replace(self, wrapper: gym.Wrapper[Any, Any, Any, Any]) -> None:
+        """Replaces a wrapper that the kernel runs, with all wrappers inside it.
+
+        Outer wrappers still have access to it; only ``reset`` and ``step`` bypass it.
+        """
+        wrapper.reset, wrapper.step = self.reset, self.step  # type: ignore[method-assign]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Returns the race's first observation and info; seeds ``np_random``.
+
+        Raises:
+            RuntimeError: a wrapper called it outside its own ``reset``.
+        """
+        super().reset(seed=seed, options=options)
+        if self.first is None:
+            raise RuntimeError(
+                "a wrapper called reset in the middle of a race; one agent's wrapper cannot "
+                "restart the race of all. End the agent's episode (truncated) instead."
+            )
+        observation, info = self.first
+        return observation, dict(info)
 
     def step(self, action: Any) -> AgentStep:
         """Waits until the race has advanced and returns this agent's part of the result.
@@ -49,62 +94,6 @@ class AgentSide:
                 "wrapper cannot move the race of all."
             )
         return self.handler.step(action)
-
-    def _begun(self) -> tuple[Any, dict[str, Any]]:
-        if self.first is None:
-            raise RuntimeError(
-                "a wrapper called reset in the middle of a race; one agent's wrapper cannot "
-                "restart the race of all. End the agent's episode (truncated) instead."
-            )
-        observation, info = self.first
-        return observation, dict(info)
-
-
-class MonoAgentEnv(AgentSide, gym.Env[Any, Any]):
-    """One agent's side of a race, as the innermost environment of its wrappers.
-
-    Attributes:
-        camera: the agent's camera, if the race can render; set before the wrappers are made.
-
-    Args:
-        observation_space: observations before any wrapper.
-        action_space: actions after all wrappers.
-    """
-
-    # A slot is not part of vars(), so ``WrapperMemory`` skips the camera, which is the race's.
-    __slots__ = ("camera",)
-
-    # Annotated here because Gymnasium does not annotate the values.
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
-    render_mode = None
-
-    def __init__(
-        self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any]
-    ) -> None:
-        self.observation_space = observation_space
-        self.action_space = action_space
-        self.camera: Camera | None = None
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Returns the race's first observation and info; seeds ``np_random``."""
-        super().reset(seed=seed, options=options)
-        return self._begun()
-
-
-class CompiledPart(AgentSide, gym.Wrapper[Any, Any, Any, Any]):
-    """One agent's side of a race, around the wrappers that the kernel replaces.
-
-    Outer wrappers still have access to the inner ones; only ``reset`` and ``step`` bypass them.
-    """
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Returns the race's first observation and info; seeds ``np_random``."""
-        gym.Env.reset(self.unwrapped, seed=seed, options=options)
-        return self._begun()
 
 
 class _Abandoned(BaseException):

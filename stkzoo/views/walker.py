@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any, TypeAlias, cast
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._checks import shortened
 from stkzoo.agent_names import by_agent
-from stkzoo.errors import AgentException, ConfigError
+from stkzoo.errors import ConfigError
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.registry import find_view
 from stkzoo.views.split_step import AgentStep
+
+if TYPE_CHECKING:
+    from stkzoo.wrappers.camera import Camera
 
 #: Observations, rewards, terminations, truncations and infos, each by agent.
 StepParts: TypeAlias = tuple[
@@ -29,9 +31,6 @@ StepParts: TypeAlias = tuple[
 #: Views by agent (id, number or number as a string), as :func:`~stkzoo.views.find_view` accepts
 #: them; ``None`` adds no wrappers.
 Factories: TypeAlias = Mapping[Any, object]
-
-#: Errors of agents' wrappers, by agent.
-Failures: TypeAlias = dict[str, AgentException]
 
 _Dicts: TypeAlias = tuple[dict[str, Any], ...]
 
@@ -48,10 +47,10 @@ class ChainWalker:
         observation_spaces: the agents' base observation spaces.
         action_spaces: the agents' base action spaces.
         factories: views by agent; agents that are missing or ``None`` have no wrappers.
+        cameras: cameras by agent, if the race can render.
 
     Raises:
-        ConfigError: a view belongs to no agent, is unknown, or rejects its environment or options;
-            or the spaces are for different agents.
+        ConfigError: a view belongs to no agent, is unknown, or rejects its environment or options.
         AgentException: a factory failed, or did not return a wrapper of its argument.
     """
 
@@ -60,6 +59,7 @@ class ChainWalker:
         observation_spaces: Mapping[str, spaces.Space[Any]],
         action_spaces: Mapping[str, spaces.Space[Any]],
         factories: Factories,
+        cameras: Mapping[str, Camera] | None = None,
     ) -> None:
         if observation_spaces.keys() != action_spaces.keys():
             raise ConfigError(
@@ -69,7 +69,9 @@ class ChainWalker:
         chosen = by_agent(factories, observation_spaces)
         views = {agent: find_view(view) for agent, view in chosen.items() if view is not None}
         self.chains = {
-            agent: AgentChain(agent, space, action_spaces[agent], views.get(agent))
+            agent: AgentChain(
+                agent, space, action_spaces[agent], views.get(agent), (cameras or {}).get(agent)
+            )
             for agent, space in observation_spaces.items()
         }
         self.observation_spaces = {a: chain.observation_space for a, chain in self.chains.items()}
@@ -82,7 +84,6 @@ class ChainWalker:
         infos: dict[str, dict[str, Any]],
         seed: int | None,
         options: Mapping[str, Any] | None,
-        failed: Failures | None = None,
     ) -> None:
         """Resets the wrappers of some agents.
 
@@ -92,8 +93,6 @@ class ChainWalker:
             infos: first infos of the race by agent; replaced by the wrapped ones.
             seed: agent ``n`` gets ``seed + n`` as an ``int``, which Gymnasium requires.
             options: passed to the ``reset`` of every wrapper.
-            failed: gets the errors of agents whose wrappers fail. Without it, the first one is
-                raised.
 
         Raises:
             AgentException: a wrapper failed.
@@ -101,13 +100,12 @@ class ChainWalker:
         for number, (agent, chain) in enumerate(self.chains.items()):
             chain.num_clipped = 0
             if agent in agents:
-                with _kept(agent, failed):
-                    observations[agent], infos[agent] = chain.reset(
-                        observations[agent],
-                        infos.get(agent, {}),
-                        seed=None if seed is None else int(seed) + number,
-                        options=None if options is None else dict(options),
-                    )
+                observations[agent], infos[agent] = chain.reset(
+                    observations[agent],
+                    infos.get(agent, {}),
+                    seed=None if seed is None else int(seed) + number,
+                    options=None if options is None else dict(options),
+                )
 
     def read_actions(self, actions: Mapping[str, Any], agents: Collection[str]) -> dict[str, Any]:
         """Checks actions and returns them in Gymnasium's form; no wrapper runs.
@@ -138,43 +136,28 @@ class ChainWalker:
             AgentException: a wrapper failed.
         """
         base: dict[str, Any] = {}
-        with self._abandoned_after_failure():
-            for agent in agents:
-                chain = self.chains[agent]
-                if agent in actions:
-                    base[agent] = chain.begin_base_step(actions[agent])
-                else:
-                    chain.begin_step(create_zero_array(chain.action_space))
+        for agent in agents:
+            chain = self.chains[agent]
+            if agent in actions:
+                base[agent] = chain.begin_step(actions[agent])
+            else:
+                chain.begin_step(create_zero_array(chain.action_space))
         return base
 
-    def finish_step(
-        self, agents: Collection[str], parts: StepParts, failed: Failures | None = None
-    ) -> None:
+    def finish_step(self, agents: Collection[str], parts: StepParts) -> None:
         """Runs the second half of the wrappers' steps; call it once after :meth:`begin_step`.
 
         Args:
             agents: the agents.
             parts: result of the step; replaced by the wrapped results.
-            failed: see :meth:`reset`.
 
         Raises:
-            AgentException: a wrapper failed.
+            AgentException: a wrapper failed; the agents after this one have not finished the step.
         """
-        with self._abandoned_after_failure():
-            for agent in agents:
-                with _kept(agent, failed):
-                    wrapped = self.chains[agent].finish_step(_part(parts, agent))
-                    for part, value in zip(cast(_Dicts, parts), wrapped, strict=True):
-                        part[agent] = value
-
-    @contextmanager
-    def _abandoned_after_failure(self) -> Iterator[None]:
-        """Discards all running steps if the block fails."""
-        try:
-            yield
-        except BaseException:
-            self.abandon()
-            raise
+        for agent in agents:
+            wrapped = self.chains[agent].finish_step(_part(parts, agent))
+            for part, value in zip(cast(_Dicts, parts), wrapped, strict=True):
+                part[agent] = value
 
     def abandon(self) -> None:
         """Discards steps that have begun and will not be finished."""
@@ -185,17 +168,6 @@ class ChainWalker:
         """Closes all wrappers."""
         for chain in self.chains.values():
             chain.close()
-
-
-@contextmanager
-def _kept(agent: str, failed: Failures | None) -> Iterator[None]:
-    """Stores the error of an agent's wrapper, if there is a place for it."""
-    try:
-        yield
-    except AgentException as error:
-        if failed is None:
-            raise
-        failed[agent] = error
 
 
 def _part(result: StepParts, agent: str) -> AgentStep:

@@ -15,10 +15,9 @@ import stkzoo
 from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.env.episode import EpisodeRecord
 from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
-from stkzoo.views.plan import Seats
+from stkzoo.mdp.transition import Transition
 from stkzoo.wrappers import Discretizer
 from tests.support.generic_env import moment_of, observe_full
 from tests.support.paths import ROOT
@@ -188,20 +187,14 @@ def snapshots_of(distances, finish_steps, lap_length):
 def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history):
     distances, finish_steps = history
     lap_length = 100.0
-    agents = [f"kart_{k}" for k in range(len(finish_steps))]
     reward = as_reward("placement")
-    record = EpisodeRecord(dict.fromkeys(agents, reward), range(len(agents)), lap_length)
     before, *moments = snapshots_of(distances, finish_steps, lap_length)
-    karts = np.arange(len(agents))
-    earned = dict.fromkeys(agents, 0.0)
+    earned = np.zeros(len(finish_steps))
     for after in moments:
-        seats = Seats(tuple(agents[kart] for kart in karts), karts, karts, len(agents), karts)
-        record.score(before, after, seats, False, karts, record.ends)
-        for agent, amount in zip(seats.agents, record.ends[0][karts].tolist(), strict=True):
-            earned[agent] += amount
-        karts = np.flatnonzero(after.karts["has_finished_race"] == 0)
+        values = sum(reward(Transition(before, after, lap_length)).values())
+        earned += np.where(before.karts["has_finished_race"], 0.0, values)
         before = after
-    by_rank = [earned[agents[kart]] for kart in np.argsort(after.karts["position"])]
+    by_rank = [earned[kart] for kart in np.argsort(after.karts["position"])]
     assert all(better >= worse - 1e-9 for better, worse in pairwise(by_rank))
 
 

@@ -188,7 +188,7 @@ def test_views_of_few_groups_of_opponents_are_kept():
     with race_v0.parallel_env(**RACE, num_kart=7, opponents=pool) as env:
         for seed in range(20):
             env.reset(seed=seed)
-        assert len(env.live_race.opponents._known_chains) == 16
+        assert env.live_race.opponents._chains_of_views.cache_info().currsize == 16
 
 
 def test_policies_of_opponents_get_no_images():

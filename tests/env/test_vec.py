@@ -65,7 +65,7 @@ def pids(envs):
 
 def next_pids(envs):
     """Returns the process ids of prefetched races."""
-    ahead = [row._ahead._next for row in envs._rows if row._ahead]
+    ahead = [race.live_race.starts._next for race in envs.races]
     return [following[1].pid for following in ahead if following]
 
 

@@ -44,7 +44,7 @@ def play(num_steps=NUM_STEPS, kill_at=None, options_later=None, **options):
             if step == kill_at:
                 os.kill(pids(envs)[0], signal.SIGKILL)
             trace.append((*envs.step(envs.action_space.sample()), envs.racing))
-        return trace, envs.races[0].live_race.has_rows
+        return trace, envs.races[0].live_race.chains.has_rows
     finally:
         envs.close()
 

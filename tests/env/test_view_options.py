@@ -72,7 +72,7 @@ def test_vector_environments_accept_view_options(make, expected):
 
 def test_a_keyword_of_both_the_race_and_its_view_reaches_both():
     with gym.make("supertuxkart/control-v0", **RACE, step_size=0.05) as env:
-        chain = env.unwrapped.core.live_race._chains
+        chain = env.unwrapped.core.live_race.chains
         assert chain._plans["kart_0"].car.step_size == 0.05
         assert env.unwrapped.core.options.step_size == 0.05
 

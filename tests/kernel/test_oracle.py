@@ -136,7 +136,7 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
     for _ in range(12):
         actions.append({a: with_kernel.action_space(a).sample() for a in with_kernel.agents})
         steps.append(with_kernel.step(actions[-1]))
-    assert with_kernel.live_race._chains._latest_roster.walked == ()
+    assert with_kernel.live_race.chains._latest_roster.walked == ()
     with_kernel.close()
 
     numpy_only()
@@ -165,7 +165,7 @@ def test_rows_are_the_same_with_and_without_the_kernel(view, track, numpy_only):
 
     def trace():
         with contextlib.closing(RaceVectorEnv(2, **settings)) as envs:
-            assert envs.races[0].live_race.has_rows
+            assert envs.races[0].live_race.chains.has_rows
             results = [envs.reset(seed=3)]
             envs.action_space.seed(3)
             actions = (envs.action_space.sample() for _ in range(12))
@@ -234,7 +234,7 @@ def test_a_compiled_view_matches_its_wrappers(view):
     base = full_with(extras_of(seen))
     with race_v0.parallel_env(view={0: view, 1: base, 2: base}, **settings) as env:
         chain = AgentChain("kart_0", seen, kart_action_space(), find_view(view))
-        full = RecordsObserver(ViewPlan(seen, kart_action_space(), CONTROLS))
+        full = RecordsObserver(ViewPlan(seen))
         observations, _ = env.reset(seed=3)
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))
@@ -331,7 +331,7 @@ def fuzzed(random, value):
 def test_actions_are_read_as_by_the_wrappers(view):
     """The oracle and the wrappers give the same controls for accepted actions."""
     env = race_v0.parallel_env(num_kart=1, track="lighthouse", view=view)
-    chains, space = env.live_race._chains, env.action_space("kart_0")
+    chains, space = env.live_race.chains, env.action_space("kart_0")
     chain = AgentChain("kart_0", *bare_spaces(view), ALL_VIEWS[view])
     space.seed(0)
     random = np.random.default_rng(0)
@@ -432,5 +432,5 @@ def test_custom_wrappers_and_terms_work_without_the_kernel():
     )
     env.reset(seed=0)
     env.step({a: env.action_space(a).sample() for a in env.agents})
-    assert env.live_race._chains._latest_roster.walked == ("kart_0",)
+    assert env.live_race.chains._latest_roster.walked == ("kart_0",)
     env.close()

@@ -13,11 +13,11 @@ from stkzoo.agents.planning.motion import BOOST_STEPS, RELEASE_STEPS, STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import PlanTable
 from stkzoo.agents.planning.worth import LEAST_LOGIT
-from stkzoo.mdp.geometry import squared
 from stkzoo.wrappers.racing import OWN_PLACES, Surroundings
 from tests.oracle import plan_weigher
 from tests.oracle.observations import to_polar
 from tests.oracle.road_ahead import RoadAhead
+from tests.oracle.vectors import squared
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
-from stkzoo.mdp.geometry import line_places, rotation_matrices, squared, to_kart_frame
+from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.wrappers.racing.features import (
     ATTACHMENT_COLUMNS,
     ATTACHMENTS,
@@ -31,6 +31,7 @@ from stkzoo.wrappers.racing.features import (
     TYPES_GOOD,
 )
 from tests.oracle.observations import own_state
+from tests.oracle.vectors import line_places, squared
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]

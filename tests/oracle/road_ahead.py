@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.mdp.geometry import squared
+from tests.oracle.vectors import squared
 
 FloatArray = npt.NDArray[np.float32]
 

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
@@ -205,8 +205,8 @@ class RandomMoment:
 
 def observe_full(source, karts, use_ai=False):
     """Returns the observation of each kart in the ``full`` view."""
-    spaces = kart_observation_space(use_ai), kart_action_space()
-    return RecordsObserver(ViewPlan(*spaces, CONTROLS)).observe(source, np.asarray(karts))
+    plan = ViewPlan(kart_observation_space(use_ai))
+    return RecordsObserver(plan).observe(source, np.asarray(karts))
 
 
 def full_views(env):

@@ -3,8 +3,7 @@
 import pytest
 from gymnasium.wrappers import TransformObservation
 
-from stkzoo.env.race import Race
-from stkzoo.views import VIEWS
+from stkzoo.views import VIEWS, AgentChains
 
 #: A view with lists, one with a dict, one with flat vectors, and the view of the learned drivers.
 MECHANISMS = ("full", "simple", "flattened_discrete", "racing")
@@ -19,7 +18,7 @@ def walked(env):
 def agent_by_agent(monkeypatch):
     """Makes new environments collect values agent by agent, as for wrappers in Python."""
     never = property(lambda race: False, lambda race, value: None)  # noqa: ARG005
-    monkeypatch.setattr(Race, "has_rows", never, raising=False)
+    monkeypatch.setattr(AgentChains, "has_rows", never, raising=False)
 
 
 def marked(values, kept):

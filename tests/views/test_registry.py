@@ -12,7 +12,6 @@ import pytest
 from gymnasium.wrappers import FilterObservation
 
 import stkzoo
-from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.views import SHIPPED, VIEWS, View, base_space, extras_for, find_view, options_of
@@ -68,7 +67,7 @@ def near_view():
 @pytest.mark.parametrize(("name", "option"), CASES)
 def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option):
     usual, other = chain_of(name), chain_of((name, {option: OTHERS[option]}))
-    plans = [chain.compile(CONTROLS).identity() for chain in (usual, other)]
+    plans = [chain.compile().identity() for chain in (usual, other)]
     if option == "normalize_act" and name == "flattened_control":
         assert plans[0] == plans[1]  # the default of this view
     else:

@@ -4,7 +4,6 @@ import gc
 import threading
 from types import MappingProxyType
 
-import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from gymnasium.wrappers import (
     TransformAction,
 )
 
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ActionError, AgentException
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views import AgentChains
@@ -31,13 +31,7 @@ from tests.support.generic_env import Counter, RandomMoment, assert_same, kart_e
 
 def make_chains(*factories, ai=()):
     agents = [f"kart_{number}" for number in range(len(factories))]
-    return AgentChains(
-        {agent: kart_observation_space(agent in ai) for agent in agents},
-        {agent: kart_action_space() for agent in agents},
-        dict(zip(agents, factories, strict=True)),
-        ignored=ai,
-        columns=tuple(kart_action_space()),
-    )
+    return AgentChains(dict(zip(agents, factories, strict=True)), ai)
 
 
 def view(name):
@@ -65,7 +59,7 @@ def decoded(chains, actions, agents):
     """Returns the decoded actions by key of the base action space."""
     controls = decode(chains, actions, agents)
     assert (controls.dtype, controls.shape) == (np.float32, (len(agents), 7))
-    return dict(zip(kart_action_space(), controls.T, strict=True))
+    return dict(zip(CONTROLS, controls.T, strict=True))
 
 
 class Race:
@@ -407,7 +401,7 @@ def test_a_race_continues_after_a_failure_and_a_reset():
     assert race.step(race.sample())[3] == {"kart_0": False, "kart_1": False}
 
 
-# ---------------------------------------------------------------- threads and pickles
+# ---------------------------------------------------------------- threads
 
 
 def test_no_threads_exist_between_steps():
@@ -454,21 +448,3 @@ def test_the_number_of_segments_that_a_chain_uses_follows_its_innermost_wrapper(
     for factory, expected in ((three, 3), (None, None), (Mine, None)):
         chain = AgentChain("kart_0", kart_observation_space(), kart_action_space(), factory)
         assert chain.paths_used() == expected
-
-
-@pytest.mark.parametrize("is_mid_step", [False, True])
-def test_chains_can_be_pickled_during_a_race(is_mid_step):
-    chains = make_chains(
-        view("flattened_discrete"),
-        lambda env: FrameStackObservation(flat_observation(env), 2),
-        Counter,
-    )
-    race = Race(chains)
-    race.reset(seed=1)
-    race.step(race.sample())
-    if is_mid_step:
-        decoded(chains, race.sample(), race.agents)
-    copied = Race(cloudpickle.loads(cloudpickle.dumps(chains)), seed=3)
-    race = Race(chains, seed=3)
-    actions = race.sample()
-    assert_same(copied.step(actions)[0], race.step(actions)[0])

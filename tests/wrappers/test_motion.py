@@ -98,7 +98,7 @@ def test_views_of_fixed_size_accept_the_option_and_stay_compiled(view):
         with env:
             observation, _ = env.reset(seed=1)
             assert env.observation_space.contains(observation)
-            assert env.unwrapped.core.live_race._chains._chains["kart_0"].is_empty
+            assert env.unwrapped.core.live_race.chains._chains["kart_0"].is_empty
             size[len(size)] = gym.spaces.flatdim(env.observation_space)
     assert size[1] - size[0] == 5 * (3 + 1)
 

@@ -19,7 +19,6 @@ import numpy.typing as npt
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.mdp.geometry import line_places
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_LINE_MARKS, GROUND_MARKS
 from stkzoo.names import GroundKind
 from stkzoo.wrappers.racing.features import STEP
@@ -274,7 +273,12 @@ class GroundTable:
                 karts keep there, float32.
         """
         starts, along = self._starts[nodes] - locations, self._along[nodes]
-        before, _ = line_places(starts, along, GROUND_MARKS, STEP, NUM_POINTS)
+        x, y, z = along.T
+        squares = x * x + y * y + z * z
+        share = -(starts * along).sum(-1) / np.where(squares > 0, squares, 1)
+        passed = np.clip(share, 0, 1) * np.sqrt(squares)
+        places = (passed[:, None] + GROUND_MARKS) / np.float32(STEP)
+        before = np.minimum(places.astype(np.intp), NUM_POINTS - 2)
         here, next_ = (nodes[:, None], before), (nodes[:, None], before + 1)
         ground = _ORDER[np.maximum(self._places[here], self._places[next_])]
         return ground, 0.5 * (self._speeds[here] + self._speeds[next_])

@@ -217,7 +217,6 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
         if plan.has_action or plan.leaves.keys() != set(CONTROLS):
             return False
-        columns = [CONTROLS.index(key) for key in plan.columns]
         choices = np.zeros((max(CHOICES), len(CHOICES)), np.int64)
         choices[:, 1] = _COAST
         leaf = []
@@ -225,8 +224,7 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
             chosen = choices[:count].copy()
             chosen[:, 0] = len(STEERS) // 2
             chosen[:, place] = range(count)
-            table = np.ascontiguousarray(controls_of_choices(chosen)[:, columns])
-            leaf.append((0.0, count - 1.0, True, 0, table))
+            leaf.append((0.0, count - 1.0, True, 0, controls_of_choices(chosen)))
         plan.leaves = {"": tuple(leaf)}
         return True
 

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo._checks import check_whole, shortened
+from stkzoo._checks import check_flag, check_whole, shortened
 from stkzoo._os import cpu_count
 from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
@@ -120,10 +120,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             raise ConfigError(
                 "start_seed and skip_countdown need num_starts, such as num_starts=64"
             )
-        if not isinstance(prefetch, (bool, type(None))):
-            raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
-        wants_prefetch = cpu_count() > num_races if prefetch is None else prefetch
-        self.prefetch = wants_prefetch and num_starts is None
+        if prefetch is None:
+            prefetch = cpu_count() > num_races
+        self.prefetch = check_flag("prefetch", prefetch) and num_starts is None
         if options.get("opponents") is not None:
             from stkzoo.env.opponent_choice import OpponentChoice
 
@@ -150,8 +149,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self._form = form_of(self.single_observation_space)
         self.idle_observation = create_zero_array(self.single_observation_space)
         self.tracks = tuple(sorted(find_assets().tracks))
-        self._track_numbers = {name: number for number, name in enumerate(self.tracks)}
-        self._rows = [RaceSlots(race, n, self._repeated) for n, race in enumerate(self.races)]
+        self._rows = [RaceSlots(race, number) for number, race in enumerate(self.races)]
+        self._connect()
         self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
         self._seeds: list[int | None] = [None] * num_races
         self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
@@ -164,7 +163,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     @property
     def racing(self) -> BoolArray:
         """``(num_envs,)`` bool, slots whose agent is still racing and acts next."""
-        return np.concatenate([row.racing for row in self._rows])
+        racing = np.zeros(self.num_envs, np.bool_)
+        racing[np.concatenate([row.racing_slots for row in self._rows])] = True
+        return racing
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -360,8 +361,13 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        for row in self._rows:  # the races are made again from their options
-            row.connect(self._repeated)
+        self._connect()
+
+    def _connect(self) -> None:
+        """Lets the races start as copies of starts that wait, if there are any."""
+        if self._repeated is not None:
+            for race in self.races:
+                race.live_race.starts = self._repeated
 
     def _checked_singly(self, actions: Any) -> list[CheckedActions]:
         """Checks the actions agent by agent, and names the race of an invalid one."""
@@ -378,16 +384,15 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def _singles(self, actions: Any) -> list[Any]:
         """Returns one action per slot."""
-        names = self._names
         try:
             singles = list(iterate(self.action_space, actions))
         except (AttributeError, TypeError, LookupError, ValueError):
             singles = []
-        if isinstance(actions, str) or len(singles) != len(names):
+        if isinstance(actions, str) or len(singles) != self.num_envs:
             raise ActionError(
-                f"the actions are {shortened(actions)}; expected one for each of {len(names)} "
-                f"slots ({names[0]} to {names[-1]}), idle ones included",
-                names[0],
+                f"the actions are {shortened(actions)}; expected one for each of {self.num_envs} "
+                f"slots ({self._names[0]} to {self._names[-1]}), idle ones included",
+                self._names[0],
             )
         return singles
 
@@ -408,13 +413,13 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         """Adds what concerns all races to the steps of all slots."""
         steps.complete(np.flatnonzero(~self.racing), self.idle_observation)
         for row in self._rows:
-            steps.tracks[row.slots] = self._track_numbers[row.track]
+            steps.tracks[row.slots] = self.tracks.index(row.track)
         return steps
 
     def _infos(self, steps: SlotSteps) -> dict[str, Any]:
         infos = steps.infos.columns(self._add_info)
         for slot, (observation, info) in steps.finals.items():
-            final = {**info, "track": self._track_numbers[info["track"]]}
+            final = {**info, "track": self.tracks.index(info["track"])}
             infos = self._add_info(infos, {"final_obs": observation, "final_info": final}, slot)
         return {
             **infos,

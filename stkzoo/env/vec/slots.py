@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import Race, Started
-from stkzoo.env.vec.rows import BoolArray, SlotSteps
-from stkzoo.env.vec.starts import AheadStarts, RepeatedStarts
+from stkzoo.env.vec.rows import SlotSteps
+from stkzoo.env.vec.starts import AheadStarts
 from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
 
 logger = logging.getLogger(__name__)
@@ -27,40 +27,29 @@ class RaceSlots:
     Args:
         env: environment of the race.
         number: number of the race.
-        repeated: starts to copy, if there are any.
 
     Attributes:
         env: environment of the race.
         slots: range of this race's slots among those of all races.
-        racing: ``(A,)`` bool, whether each slot's agent is still racing.
         racing_slots: slots of the agents that are still racing.
         num_crashes: number of times the game crashed or hung.
         options: options for every race that starts from now on.
         track: track of the current race.
     """
 
-    def __init__(
-        self, env: RaceParallelEnv, number: int, repeated: RepeatedStarts | None = None
-    ) -> None:
+    def __init__(self, env: RaceParallelEnv, number: int) -> None:
         self.env, self._number = env, number
         self.num_crashes = 0
         self.options: Mapping[str, Any] = {}
         self.track = ""
         count = len(env.possible_agents)
         self.slots = slice(number * count, (number + 1) * count)
-        self.racing: BoolArray = np.zeros(count, np.bool_)
         self.racing_slots = np.zeros(0, np.intp)
         self._slot_of = {agent: self.slots.start + n for n, agent in enumerate(env.possible_agents)}
         self._returns = np.zeros(count)
         self._num_steps = 0
         self._failure: EngineError | None = None
         self._latest: Started = {}, {}  # of agents with wrappers in Python
-        self.connect(repeated)
-
-    def connect(self, repeated: RepeatedStarts | None) -> None:
-        """Sets how the game's races start."""
-        self._ahead = None if repeated else AheadStarts(self.race.new_session)
-        self.race.starts = repeated or self._ahead
 
     @property
     def race(self) -> Race:
@@ -79,10 +68,11 @@ class RaceSlots:
         itself and reports the error if that fails too. With starts to copy, or options with a state
         or a scenario, it does nothing.
         """
-        if self._ahead is not None:
+        starts = self.race.starts
+        if isinstance(starts, AheadStarts):
             setup = self.race.next_setup(seed, {**self.options, **(options or {})})
             if setup is not None:
-                self._ahead.prepare(setup)
+                starts.prepare(setup)
 
     def reset(
         self,
@@ -104,8 +94,6 @@ class RaceSlots:
         self._latest = self._start(seed, options, _MAX_STARTS)
         self.track = race.track if (race := self.env.race) else ""
         self.racing_slots = np.array([self._slot_of[agent] for agent in self.env.agents], np.intp)
-        self.racing[:] = False
-        self.racing[self.racing_slots - self.slots.start] = True
         self._returns[:] = 0.0
         self._num_steps = 0
         self._failure = None
@@ -140,17 +128,12 @@ class RaceSlots:
 
     def close(self) -> None:
         """Closes the race's environment."""
-        self.racing[:] = False
         self.racing_slots = self.racing_slots[:0]
         self.env.close()
 
-    def __getstate__(self) -> dict[str, Any]:
-        # A copy of the environment starts its own races; ``connect`` completes it.
-        return {**vars(self), "_ahead": None}
-
     def _advance(self, steps: SlotSteps) -> npt.NDArray[np.intp]:
         """Waits for the step, writes its results and returns the slots that are still racing."""
-        if self.race.has_rows:
+        if self.race.chains.has_rows:
             return self.race.finish_into(steps, self.racing_slots)
         observations, rewards, terminations, truncations, infos = self.race.finish()
         self._latest = observations, infos
@@ -171,12 +154,11 @@ class RaceSlots:
         """Adds the last observations and infos of slots whose agents have ended."""
         agents = [self.env.possible_agents[slot - self.slots.start] for slot in ended]
         observations, infos = self._latest
-        if self.race.has_rows:
+        if self.race.chains.has_rows:
             observations, infos = self.race.observe(agents), self.race.infos(agents)
         has_crashed = bool(steps.crashed[self.slots.start])
         for slot, agent in zip(ended.tolist(), agents, strict=True):
             row, info = slot - self.slots.start, infos[agent]
-            self.racing[row] = False
             if has_crashed:  # the infos are those of the step before
                 info = {**info, **dict.fromkeys(filter(_is_of_a_step, info), 0.0)}
             episode = {"r": float(self._returns[row]), "l": self._num_steps}

@@ -25,6 +25,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from msgspec import Meta
 
 from stkzoo._arrays import read_arrays, write_arrays
@@ -41,6 +42,26 @@ _MAX_BYTES, _MAX_ABOUT, _MAX_LENGTH = 8 << 30, 64 << 20, 10_000_000
 _BY_STEP = ("actions", "controls", "rewards")
 
 Columns = dict[str, npt.NDArray[Any]]
+
+
+def columns_of(
+    name: str, space: spaces.Space[Any], values: Sequence[Any]
+) -> dict[str, npt.NDArray[Any]]:
+    """Stacks values along a leading time axis, with one array per dict entry (``name/key``).
+
+    Args:
+        name: name of the array.
+        space: space of the values.
+        values: one value per time step.
+    """
+    parts = getattr(space, "spaces", None)
+    if not isinstance(parts, Mapping):
+        shape = space.shape or ()
+        return {name: np.array(values, space.dtype).reshape(len(values), *shape)}
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for key, part in parts.items():
+        columns |= columns_of(f"{name}/{key}", part, [value[key] for value in values])
+    return columns
 
 
 def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:

@@ -16,9 +16,10 @@ from stkzoo.evaluation.demonstrations.dataset import (
     Columns,
     Demonstrations,
     EpisodeFacts,
+    columns_of,
     join,
 )
-from stkzoo.mdp.spaces import action_of, columns_of, kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import action_of, kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import controls_of
 from stkzoo.race.result import RaceResult
