@@ -76,17 +76,22 @@ def python_command(code: str, *arguments: str) -> list[str]:
         code: the code.
         *arguments: the rest of its ``sys.argv``.
     """
-    return [sys.executable, *_OPTIONS, "-c", _BEGINNING + code, *arguments]
+    return [python_executable(), *_OPTIONS, "-c", _BEGINNING + code, *arguments]
+
+
+def python_executable() -> str:
+    """Returns the path of this interpreter, without ``..``, which a sandbox may not contain."""
+    return os.path.abspath(sys.executable)
 
 
 def search_path(*, has_current: bool = True) -> list[str]:
     """Returns this program's module search path, for a process that must find the same modules.
 
-    In an interactive session, an empty entry means the current folder; it is replaced by its path.
+    Relative entries, such as the empty one in an interactive session, are replaced by their paths.
     Entries that are not strings, which Python ignores, are left out.
 
     Args:
         has_current: whether to include the current folder of an interactive session.
     """
     texts = (path for path in sys.path if isinstance(path, str))
-    return [path or os.getcwd() for path in texts if path or has_current]
+    return [os.path.abspath(path) for path in texts if path or has_current]

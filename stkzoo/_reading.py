@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import encodings.cp437  # noqa: F401 - zipfile imports it when it reads the first name of a file
+import io
 import os
 import stat
+import sys
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -25,6 +27,7 @@ MAX_BYTES = 8 << 20
 
 _MAX_REASON = 300
 _MAX_ZIP = 64 << 20  # maximum size of a zip for :func:`read_zip` [bytes]
+_MAX_LIST = 16 << 20  # maximum size of a zip's list of files [bytes]
 _MEMBER = b"PK\1\2"  # start of a member's entry in a zip's list of files
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # other methods unpack without a bound
 #: Maximum ratio of unpacked to packed size with deflate, if the members of a zip do not overlap;
@@ -243,7 +246,8 @@ def open_zip(
     # A list of files takes memory as soon as the zip is opened.
     if sum(block.count(_MEMBER) for block in read_blocks(file)) > max_files:
         raise Unreadable(f"it has more than {max_files} files")
-    with zipfile.ZipFile(file) as archive:
+    with _ZipFile(file.open("rb", 0)) as stream, zipfile.ZipFile(stream) as archive:
+        stream.max_read = sys.maxsize
         members = archive.infolist()
         for member in members:
             _check_member(member)
@@ -254,6 +258,17 @@ def open_zip(
             names = Counter(member.filename for member in members)
             raise Unreadable(f"it has the file {names.most_common(1)[0][0][:60]!r} more than once")
         yield archive
+
+
+class _ZipFile(io.BufferedReader):
+    """An open zip, which refuses long reads until the list of its files has been read."""
+
+    max_read = _MAX_LIST
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > self.max_read:
+            raise Unreadable("its list of files is too long")
+        return super().read(size)
 
 
 def _check_member(member: zipfile.ZipInfo) -> None:

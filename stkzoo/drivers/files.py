@@ -34,9 +34,12 @@ _MAX_LINES, _MAX_LITERAL = 20, 2000
 _MAX_CHARACTERS = 1 << 20
 
 #: Maximum size of an agent's unpacked files, including weights [bytes].
-MAX_BYTES = 1 << 30
-#: Maximum number of an agent's files.
-MAX_FILES = 10_000
+MAX_BYTES = 512 << 20
+#: Maximum numbers of files and folders of an agent in a zip, and of folders in each other. Within
+#: these limits, a processor core unpacks and removes the files in two seconds.
+MAX_FILES, MAX_FOLDERS, MAX_DEPTH = 10_000, 1000, 32
+#: Maximum length of the name of a file [bytes], which most file systems have.
+_MAX_NAME = 255
 #: Maximum compression ratio of a file above 1 MiB.
 MAX_RATIO = 200
 _SMALL = 1 << 20
@@ -310,7 +313,19 @@ def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
     members = archive.infolist()
     for member in members:
         _check(member)
-    return [member for member in members if not member.is_dir()]
+    members = [member for member in members if not member.is_dir()]
+    paths = {PurePosixPath(member.filename) for member in members}
+    folders: set[PurePosixPath] = set()
+    for path in paths:
+        folder = path.parent
+        while folder not in folders:
+            folders.add(folder)
+            folder = folder.parent
+    if len(folders) > MAX_FOLDERS:
+        raise Unreadable(f"it has more than {MAX_FOLDERS} folders")
+    if len(paths) < len(members) or paths & folders:
+        raise Unreadable("two of its files have the same path")
+    return members
 
 
 def _check(member: zipfile.ZipInfo) -> None:
@@ -322,6 +337,8 @@ def _check(member: zipfile.ZipInfo) -> None:
             f"{member.filename!r} has backslashes between folders, expected slashes, as "
             "`python -m zipfile -c` writes them"
         )
+    if len(name.parts) > MAX_DEPTH or max(len(part.encode()) for part in name.parts) > _MAX_NAME:
+        raise Unreadable(f"{member.filename[:60]!r}... is in too many folders or has a long name")
     file_type = stat.S_IFMT(member.external_attr >> 16)
     if file_type not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise Unreadable(f"{member.filename!r} is a link or a device, not a file")

@@ -17,15 +17,18 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 #: Interval between two checks of the agent's processes [ms].
 _INTERVAL = 100
-#: Maximum number of processes of one agent.
-_MAX_PROCESSES = 128
+#: Maximum number of processes of one agent, and of their threads together.
+_MAX_PROCESSES, _MAX_THREADS = 128, 512
 _MAX_CHILDREN_TEXT = 2048
 #: Maximum number of open files of all processes of one agent together; a check of them takes 40 ms.
 _MAX_FILES = 8192
+#: Maximum number of pipes among them. Linux counts their pages per user, and shrinks new pipes of
+#: the user above 1,024 pipes.
+_MAX_PIPES = 256
 #: Timeout of one wait for the measurement of shared memory [s], and number of waits.
 _MEASURE_TIMEOUT, _MEASURE_TRIES = 0.05, 10
 _PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
@@ -121,12 +124,17 @@ def _excess(memory: int) -> str:
     processes = _processes()
     if len(processes) > _MAX_PROCESSES:
         return f"started more than {_MAX_PROCESSES} processes"
-    if not memory:
-        return ""
+    if sum(map(_threads, processes)) > _MAX_THREADS:  # root has no process limit
+        return f"started more than {_MAX_THREADS} threads with all its processes"
     files = [*itertools.islice(_open_files(processes), _MAX_FILES + 1)]
     if len(files) > _MAX_FILES:
         return f"opened more than {_MAX_FILES} files with all its processes"
-    in_files = _files_in_memory(files)
+    links = {path: _link(path) for path in files}
+    if len({link for link in links.values() if link.startswith("pipe:")}) > _MAX_PIPES:
+        return f"opened more than {_MAX_PIPES} pipes with all its processes"
+    if not memory:
+        return ""
+    in_files = _files_in_memory(path for path, link in links.items() if link.startswith("/memfd:"))
     resident = _total(processes, in_files, "status", "Rss")
     if resident <= memory:
         return ""
@@ -186,15 +194,27 @@ def _open_files(processes: Sequence[int]) -> Iterator[str]:
             yield from (entry.path for entry in entries)
 
 
-def _files_in_memory(descriptors: Sequence[str]) -> int:
+def _link(path: str) -> str:
+    """Returns what a link names; empty if it no longer exists."""
+    with contextlib.suppress(OSError):
+        return os.readlink(path)
+    return ""
+
+
+def _files_in_memory(paths: Iterable[str]) -> int:
     """Returns the size of open anonymous files (memfd), which may not be mapped [bytes]."""
     sizes = {}
-    for path in descriptors:
+    for path in paths:
         with contextlib.suppress(OSError):
-            if os.readlink(path).startswith("/memfd:"):
-                status = os.stat(path)
-                sizes[status.st_ino] = 512 * status.st_blocks
+            status = os.stat(path)
+            sizes[status.st_ino] = 512 * status.st_blocks
     return sum(sizes.values())
+
+
+def _threads(process: int) -> int:
+    with contextlib.suppress(OSError):
+        return os.stat(f"/proc/{process}/task").st_nlink - 2
+    return 0
 
 
 def descendants(process: int) -> Iterator[int]:

@@ -12,16 +12,17 @@ import functools
 import logging
 import os
 import shutil
-import site
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stkzoo._imports import python_executable, search_path
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers import confinement
+from stkzoo.drivers.call_filter import has_call_filter
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
     INSTALLED,
@@ -42,9 +43,14 @@ TEMPORARY_SIZE = 64 << 20
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Paths of the system that programs need.
 _SYSTEM = (
-    *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/nix/store"),
-    *("/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime"),
+    *("/bin", "/lib", "/lib32", "/lib64", "/usr/bin", "/usr/lib", "/usr/lib32", "/usr/lib64"),
+    *("/usr/include", "/usr/libexec", "/usr/share", "/usr/local/bin", "/usr/local/lib"),
+    *("/nix/store", "/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime"),
 )
+#: Names in a prefix of Python, which may also be a folder of the user.
+_PREFIX = ("bin", "lib", "lib64", "pyvenv.cfg")
+#: Packages of stkzoo that are links in a checkout.
+_LINKED = ("agents", "wrappers")
 #: Paths of the kernel that programs need. Bubblewrap mounts its own.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
 _DEVICES = ("/dev/null",)
@@ -52,8 +58,6 @@ _DEVICES = ("/dev/null",)
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
 #: Environment variable that is set in processes that share the machine with other races.
 SHARED_CORES = "STKZOO_SHARED_CORES"
-#: Prefixes of the lines of a ``.pth`` file that are not folders: code and comments.
-_NO_PATH = ("import ", "import\t", "#")
 _TRIAL_TIMEOUT = 10.0
 
 logger = logging.getLogger(__name__)
@@ -95,7 +99,7 @@ def enclose(
     if sandbox == NONE:
         return Enclosure()
     agent_paths = _agent_paths(files, place)
-    paths = [*_SYSTEM, *_python_paths(agent_paths), *agent_paths, *([adapter] if adapter else [])]
+    paths = [*_python_paths(), *_SYSTEM, *agent_paths, *([adapter] if adapter else [])]
     changed = agent_paths if adapter else []  # an adapter's prepare_module_dir may change them
     home = "/tmp"  # noqa: S108 - inside the sandbox
     if sandbox == LANDLOCK:
@@ -156,7 +160,7 @@ def protections(sandbox: str) -> tuple[str, ...]:
         sandbox: its kind, from :func:`sandbox_kind`.
     """
     version = confinement.landlock_version() if sandbox == LANDLOCK else 0
-    has_filter = sandbox != NONE and confinement.has_call_filter()
+    has_filter = sandbox != NONE and has_call_filter()
     active = {
         "files": sandbox != NONE,
         "environment variables": sandbox != NONE,
@@ -191,10 +195,10 @@ def bubblewrap_problem() -> str:
         return "sandboxes need Linux"
     if shutil.which("bwrap") is None:
         return "bubblewrap is not installed; install it (Debian, Ubuntu: apt install bubblewrap)"
-    prefix = _bubblewrap_command([*_SYSTEM, *_python_paths([])])
+    prefix = _bubblewrap_command([*_python_paths(), *_SYSTEM])
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter
-            [*prefix, sys.executable, "-I", "-S", "-c", ""],
+            [*prefix, python_executable(), "-I", "-S", "-c", ""],
             capture_output=True,
             text=True,
             timeout=_TRIAL_TIMEOUT,
@@ -214,13 +218,14 @@ def _bubblewrap_command(paths: Sequence[str], writable: Sequence[str] = ()) -> l
         *(shutil.which("bwrap") or "bwrap", "--unshare-all", "--unshare-user", "--disable-userns"),
         *("--die-with-parent", "--cap-drop", "ALL", "--dev", "/dev", "--proc", "/proc"),
         *(*temporary, "/tmp", *temporary, "/dev/shm"),  # noqa: S108 - inside the sandbox
+        *("--tmpfs", "/dev/pts"),  # the number of terminals of all users is limited
         # A mapping of /dev/zero is shared memory, which is not counted. /dev/full reads as zeros
         # too, but cannot be mapped.
         *("--dev-bind", "/dev/full", "/dev/zero"),
     ]
     for path in dict.fromkeys(map(os.path.abspath, paths)):
         command += ["--bind" if path in writable else "--ro-bind-try", path, path]
-    for place in ("/proc", "/dev", "/"):  # root could change kernel settings in /proc
+    for place in ("/proc", "/dev/pts", "/dev", "/"):  # root could change kernel settings in /proc
         command += ["--remount-ro", place]
     return [*command, "--"]
 
@@ -240,23 +245,21 @@ def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
     return [str(files.path)]
 
 
-def _python_paths(agent_paths: Sequence[str]) -> Iterator[str]:
-    """Yields the paths of Python, installed packages and stkzoo, but no parent of the agent."""
-    yield from (sys.prefix, sys.base_prefix, sys.exec_prefix, str(_PACKAGE))
-    packages = {path for path in sys.path if INSTALLED & {*Path(path).parts}}
-    yield from sorted(packages)
-    linked: set[str] = set()
-    for folder in {*packages, *site.getsitepackages(), str(_PACKAGE)}:
-        with suppress(OSError):
-            linked |= {
-                os.path.realpath(entry) for entry in os.scandir(folder) if entry.is_symlink()
-            }
-        for file in Path(folder).glob("*.pth"):
-            lines = map(str.strip, file.read_text(errors="replace").splitlines())
-            named = (line for line in lines if line and not line.startswith(_NO_PATH))
-            linked |= {os.path.realpath(os.path.join(folder, line)) for line in named}
-    private = [*agent_paths, str(_PACKAGE)]
-    yield from sorted(
-        path for path in linked if not any(Path(one).is_relative_to(path) for one in private)
-    )
-    yield from filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
+def _python_paths() -> Iterator[str]:
+    """Yields the paths of Python, installed packages, their libraries and stkzoo.
+
+    Other folders of the search path, such as those of editable installations, are not among them:
+    they contain files of the user.
+    """
+    interpreter = python_executable()
+    yield interpreter
+    while os.path.islink(interpreter):  # a link may lead through a folder outside of the prefixes
+        interpreter = os.path.join(os.path.dirname(interpreter), os.readlink(interpreter))
+        yield interpreter
+    for prefix in dict.fromkeys((sys.prefix, sys.base_prefix, sys.exec_prefix)):
+        yield from (os.path.join(prefix, name) for name in _PREFIX)
+    yield from (path for path in search_path() if Path(os.path.realpath(path)).name in INSTALLED)
+    yield str(_PACKAGE)
+    yield from (os.path.realpath(_PACKAGE / name) for name in _LINKED)
+    for folder in filter(os.path.isabs, os.environ.get("LD_LIBRARY_PATH", "").split(":")):
+        yield from map(str, Path(folder).glob("*.so*"))

@@ -319,3 +319,41 @@ def test_unpacked_files_have_no_special_mode(tmp_path):
     path = written(tmp_path / "a.zip", ("run", stat.S_IFREG | 0o6777, "x"))
     files.unpack(Path(path), tmp_path / "out")
     assert (tmp_path / "out" / "run").stat().st_mode & 0o7133 == 0
+
+
+def names_of_folders(count, depth):
+    return ["/".join(f"{chain}_{level}" for level in range(depth)) for chain in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ([f"{folder}/x" for folder in names_of_folders(50, 21)], "more than 1000 folders"),
+        ([f"{number}/x" for number in range(1001)], "more than 1000 folders"),
+        (["a/" * 40 + "x"], "is in too many folders or has a long name"),
+        (["a/" * 2040 + "x"], "is in too many folders or has a long name"),
+        (["a" * 300], "is in too many folders or has a long name"),
+        (["\N{SNOWMAN}" * 90], "is in too many folders or has a long name"),
+        (["a/b", "a//b"], "two of its files have the same path"),
+        (["a/b", "./a/b"], "two of its files have the same path"),
+        (["a", "a/b"], "two of its files have the same path"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value[0][:12],
+)
+def test_a_zip_that_makes_a_bad_folder_is_refused_before_it_is_unpacked(tmp_path, names, message):
+    path = written(tmp_path / "a.zip", *((name, stat.S_IFREG, "") for name in names))
+    with pytest.raises(ConfigError, match=message):
+        find_driver(path)
+
+
+def test_a_zip_with_long_names_is_refused_with_little_memory(tmp_path):
+    """1,000 names of 60 kB each."""
+    entry = b"PK\1\2" + bytes(24) + struct.pack("<H", 60_000) + bytes(16) + b"a" * 60_000
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1000, 1000, 1000 * len(entry), 0, 0)
+    (tmp_path / "a.zip").write_bytes(1000 * entry + end)
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="its list of files is too long"):
+        find_driver(str(tmp_path / "a.zip"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16 << 20

@@ -267,19 +267,32 @@ def kept(program, cores=""):
             process.wait()
 
 
-def test_a_keeper_ends_an_agent_whose_processes_open_thousands_of_files():
-    """Their number limits the keeper's work."""
-    program = """
+@pytest.mark.parametrize(
+    ("processes", "statement", "excess"),
+    [
+        (9, "[os.dup(0) for _ in range(950)]", "8192 files"),
+        (3, "[os.pipe() for _ in range(100)]", "256 pipes"),
+        (
+            5,
+            "[start_new_thread(time.sleep, (99,)) for _ in range(120)]",
+            "started more than 512 thr",
+        ),
+    ],
+)
+def test_a_keeper_ends_an_agent_whose_processes_use_too_much(processes, statement, excess):
+    """The number of files limits the keeper's work; Linux counts pipes and threads per user."""
+    program = f"""
         import os, time
-        for _ in range(9):
+        from _thread import start_new_thread, stack_size
+        stack_size(1 << 16)
+        for _ in range({processes}):
             if not os.fork():
-                for _ in range(950):
-                    os.dup(0)
+                kept = {statement}
                 break
         time.sleep(100)
     """
     with kept(program) as (_, life):
-        assert life.recv(200) == b"opened more than 8192 files with all its processes"
+        assert excess in life.recv(200).decode()
 
 
 def test_a_keeper_runs_on_the_cores_of_its_agent():

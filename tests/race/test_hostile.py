@@ -13,6 +13,7 @@ import pytest
 
 from stkzoo._temporary import remove_stale_folders
 from stkzoo.drivers import confinement, sandbox
+from stkzoo.drivers.call_filter import has_call_filter
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from tests.support.adversaries import (
@@ -90,23 +91,49 @@ PROBES = {
     "reach the host by another number": "reaches(call, socket_, 40 | 1 << 32, 1, 0)",
     "use the kernel's cryptography": "socket.socket(38, 5) is not None",
     "leave its session": "leave_session()",
-    "open many files": "bool([os.open('/dev/null', 0) for _ in range(5000)])",
+    "open many files": "bool([open('/dev/null') for _ in range(5000)])",
     "raise its limits": "resource.setrlimit(resource.RLIMIT_NOFILE, (1 << 20,) * 2) is None",
     "write a large file": "write_large(os.environ.get('TMPDIR', '/tmp')) > 0",
     "get capabilities": "int(status('CapEff'), 16) or int(status('CapPrm'), 16)",
     "get new privileges": "status('NoNewPrivs') == '0'",
     "dump its memory": "resource.getrlimit(resource.RLIMIT_CORE)[1] != 0",
+    "lease a shared file": "command_of_file(fcntl.F_SETLEASE, fcntl.F_WRLCK) == 0",
+    "lock a shared file": "fcntl.flock(open(numpy.__file__), fcntl.LOCK_EX) is None",
+    "lock a part of a shared file": "fcntl.lockf(open(numpy.__file__), fcntl.LOCK_SH) is None",
+    "lock a description of a shared file": "bool(command_of_file(37, bytes(32)))",
+    "be notified by a folder": "fcntl.fcntl(os.open('/usr/lib', 0), fcntl.F_NOTIFY, 1) == 0",
+    "be notified of shared files": "libc.inotify_init1(0) >= 0",
+    "be notified of all files": "reaches(call, fanotify_init, 0x200, 0)",
+    "get signals from a file": "command_of_file(fcntl.F_SETOWN, os.getpid()) == 0",
+    "read flags of a shared file": "bool(fcntl.ioctl(open(numpy.__file__), 0x80086601, bytes(8)))",
+    "change the mode of a file": "changes(lambda mode: os.chmod(HOME + '/secret', mode ^ 1))",
+    "change the times of a file": "changes(lambda _: os.utime(HOME + '/secret', (1, 1)))",
+    "add attributes to a file": "os.setxattr(HOME + '/secret', 'user.mark', b'x') is None",
+    "use up timers": "libc.timer_create(0, None, ctypes.byref(ctypes.c_void_p())) == 0",
+    "use up descriptors in flight": "in_flight() > 512",
+    "use up pending signals": "pending() > 64",
+    "use up watches of events": "select.epoll() is not None",
+    "use up asynchronous requests": "reaches(call, io_setup, 1 << 30, 0)",
+    "use up locked memory": "libc.mlock(ctypes.create_string_buffer(8192), 8192) == 0",
+    "use up huge pages": "reaches(mmap.mmap, -1, 2 << 20, 0x40022)",
+    "use up terminals": "os.openpty() is not None",
+    "use up large pipes": "fcntl.fcntl(os.pipe()[0], 1031, 1 << 20) > 0",
+    "use up named pipes": "os.mkfifo(os.environ.get('TMPDIR', '/tmp') + '/' + MARK + 'p') is None",
+    "take real-time priority": "os.sched_setscheduler(0, 1, os.sched_param(1)) is None",
+    "hide its files from its keeper": "libc.prctl(4, 0, 0, 0, 0) == 0",
+    "adopt orphans": "libc.prctl(36, 1, 0, 0, 0) == 0",
 }
 
 #: Attacks that succeed in the weaker sandbox with kernel 6.12.
 LANDLOCK_ALLOWS = {"reach a local socket", "fill the disk"}
 #: Attacks that succeed inside bubblewrap's sandbox, but whose effects end with it.
-INSIDE = {"leave a temporary file", "leave shared memory", "write a file", "send a packet"}
+INSIDE = {"leave a temporary file", "leave shared memory", "write a file"}
 #: Attacks that, without a sandbox, would stop the test or have effects after it.
 HARMFUL = {
     *("trace the race", "trace itself"),
     *("hide memory in System V segments", "hide memory in message queues"),
     *("change the race's scheduling attributes", "change the race's disk priority"),
+    *("lease a shared file", "use up descriptors in flight", "use up named pipes"),
 }
 #: Attacks that always succeed without a sandbox.
 ALWAYS = {
@@ -116,10 +143,16 @@ ALWAYS = {
     *("change the race's limits", "change the race's priority", "change the race's scheduling"),
     *("hide memory in unmapped pages", "hide memory in anonymous files", "hide memory in pipes"),
     *("hide memory in a mapped device", "hide memory in messages"),
+    *("lock a shared file", "lock a part of a shared file", "lock a description of a shared file"),
+    *("be notified by a folder", "be notified of shared files", "get signals from a file"),
+    *("change the mode of a file", "change the times of a file", "hide its files from its keeper"),
+    *("use up timers", "use up pending signals", "use up watches of events"),
+    *("use up asynchronous requests", "use up huge pages", "use up terminals"),
 }
 
 PRELUDE = """
-import ctypes, errno, mmap, os, platform, resource, signal, socket, struct, sys, time
+import array, ctypes, errno, fcntl, mmap, os, platform, resource, select, signal, socket, struct
+import sys, time
 import numpy, stkzoo
 
 RACE, PORT, HOME, MARK, SECRET, UID = {values}
@@ -132,6 +165,7 @@ ptrace, process_vm_readv, unshare, keyctl, shmget, mq_open = (
 sched_setattr, ioprio_set, vmsplice, socket_, setsockopt = (
     (314, 251, 278, 41, 54) if platform.machine() == "x86_64" else (274, 30, 75, 198, 208)
 )
+fanotify_init, io_setup = (300, 206) if platform.machine() == "x86_64" else (262, 0)
 
 def wide(argument):
     return ctypes.c_long(argument) if isinstance(argument, int) else argument
@@ -147,8 +181,34 @@ def reaches(function, *arguments):
     try:
         function(*arguments)
     except OSError as error:
-        return error.errno != errno.EPERM
+        return error.errno not in (errno.EPERM, errno.ENOSYS)
     return True
+
+def command_of_file(command, argument):
+    with open(numpy.__file__) as file:
+        return fcntl.fcntl(file, command, argument)
+
+# Whether a function changes a secret file. It may only pretend to.
+def changes(function):
+    before = os.stat(HOME + "/secret")
+    function(before.st_mode)
+    return os.stat(HOME + "/secret") != before
+
+def in_flight():
+    pairs = [socket.socketpair() for _ in range(8)]
+    files = socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [1] * 253)
+    sent = 0
+    try:
+        for one, other in pairs:
+            one.sendmsg([b"x"], [files])
+            sent += 253
+    except OSError:
+        pass
+    return sent
+
+def pending():
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGRTMIN + 5])
+    return sum(libc.sigqueue(os.getpid(), signal.SIGRTMIN + 5, None) == 0 for _ in range(200))
 
 def map_device():
     with open("/dev/zero", "r+b", 0) as file:
@@ -308,7 +368,7 @@ def reached_in(result):
 needs_bubblewrap = pytest.mark.skipif(
     bool(sandbox.bubblewrap_problem()), reason=sandbox.bubblewrap_problem()
 )
-needs_seccomp = pytest.mark.skipif(not confinement.has_call_filter(), reason="needs libseccomp")
+needs_seccomp = pytest.mark.skipif(not has_call_filter(), reason="needs libseccomp")
 needs_landlock = pytest.mark.skipif(
     confinement.landlock_version() < 6, reason="needs Landlock's version 6"
 )

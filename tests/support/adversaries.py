@@ -55,7 +55,7 @@ ADVERSARIES = {
     # memory, files and output
     "shares memory": Adversary(
         "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]" + SLEEP,
-        "used more than 400 MB|not permitted",
+        "used more than 400 MB|not implemented",
     ),
     "hides memory": Adversary(
         "[hide(60) for _ in range(20)]" + SLEEP, "used more than 400 MB|not implemented"
@@ -73,8 +73,20 @@ ADVERSARIES = {
         "for n in range(5000)]" + FAIL
     ),
     "opens many files": Adversary(
-        "[kept.append((os.eventfd(0), select.epoll())) for _ in range(5000)]", "Too many open"
+        "[kept.append((os.eventfd(0), os.dup(0))) for _ in range(5000)]", "Too many open"
     ),
+    "opens many pipes": Adversary(
+        "[os.fork() or (kept.extend(os.pipe() for _ in range(100)), time.sleep(99)) "
+        "for _ in range(4)]" + SLEEP,
+        "opened more than 256 pipes",
+    ),
+    "starts many threads": Adversary(
+        "threading.stack_size(1 << 16); "
+        "[threading.Thread(target=time.sleep, args=(99,)).start() for _ in range(600)]" + SLEEP,
+        "more than 512 threads|start new thread",
+    ),
+    "sends many descriptors": Adversary("[send_files() for _ in range(99)]", "Too many"),
+    "sends its sockets with descriptors": Adversary("nest_files(99)", "Too many"),
     "prints": Adversary("[os.write(1, bytes(1 << 16)) for _ in range(500)]" + FAIL),
     # Python
     "recurses": Adversary(
@@ -104,7 +116,7 @@ ADVERSARIES = {
 }
 
 _PRELUDE = """
-import atexit, ctypes, gc, mmap, os, resource, select, signal, struct, sys, time
+import array, atexit, ctypes, gc, mmap, os, resource, signal, socket, struct, sys, threading, time
 from stkzoo.drivers.messages import Failed
 from stkzoo.drivers.isolated import Channel
 
@@ -122,6 +134,20 @@ def hide(size):
     kept.append(place)
     for _ in range(size):
         os.write(place, bytes(1 << 20))
+
+def send_files(*files):
+    pair = socket.socketpair()
+    kept.append(pair)
+    sent = array.array("i", files or [1] * 253)
+    pair[0].sendmsg([b"x"], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, sent)])
+    return pair
+
+def nest_files(count):
+    for _ in range(count):
+        one, other = send_files()
+        send_files(one.fileno(), other.fileno())
+        one.close()
+        other.close()
 
 def fill_tables(size):
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | 0x4000

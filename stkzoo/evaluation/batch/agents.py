@@ -205,8 +205,8 @@ def fingerprint(source: str) -> dict[str, str]:
 
     Paths begin with the name of the agent's folder or file. A ``pystk_actor.py`` counts with all
     files of its folder, which it can read in its sandbox. Logs, ``__pycache__``, version control
-    and all files after the first 1,000 are left out, and all content after the first GiB: a link of
-    the agent can name a file without end. Drivers that come with stkzoo have no files;
+    and all files after the first 1,000 are left out, and all content after the first 512 MiB: a
+    link of the agent can name a file without end. Drivers that come with stkzoo have no files;
     stkzoo's version identifies them.
 
     Args:
