@@ -67,7 +67,7 @@ COMMANDS = [
         "race {here}/args",
         "get_actor takes (); expected (module_dir, observation_space, action_space",
     ),
-    ("race {here}/extra", "install it, or put it into the agent's folder"),
+    ("race {here}/extra", "install it (not with pip's -e), or put it into the agent's folder"),
     (
         "tournament",
         "a tournament needs at least two agents, such as my_agent and ai; this one has 0",

@@ -47,7 +47,9 @@ def _importer(error: ModuleNotFoundError) -> str:
     if not frames:
         return ""
     file, line = Path(frames[-1].filename).name, frames[-1].lineno
-    return f" ({file}, line {line}); install it, or put it into the agent's folder"
+    return (
+        f" ({file}, line {line}); install it (not with pip's -e), or put it into the agent's folder"
+    )
 
 
 def bounded(text: str, limit: int = MAX_TEXT) -> str:

@@ -60,9 +60,14 @@ _GRACE = 0.5
 _END_TIMEOUT = 5.0
 _HAS_KEEPER = sys.platform == "linux"
 _MOST_REASON = 200
-#: Beginnings of errors that the sandbox may have caused by hiding a file.
-_OUT_OF_REACH = ("FileNotFoundError", "PermissionError", "OSError: [Errno 30]")
-_HINT = " (the sandbox hides other files; --sandbox off disables it)"
+#: Beginnings of errors that the sandbox may have caused.
+_OUT_OF_REACH = (
+    "FileNotFoundError",
+    "PermissionError",
+    "OSError: [Errno 30]",
+    "OSError: [Errno 38]",
+)
+_HINT = " (the sandbox hides files and refuses system calls; --sandbox off disables it)"
 
 
 class IsolatedAgent:

@@ -54,6 +54,8 @@ _LINKED = ("agents", "wrappers")
 #: Paths of the kernel that programs need. Bubblewrap mounts its own.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
 _DEVICES = ("/dev/null",)
+#: Files of the kernel about the user's keys, the machine's memory, and timers of all processes.
+_HIDDEN = ("/proc/keys", "/proc/kpagecount", "/proc/kpageflags", "/proc/timer_list")
 #: Environment variables that agents get. Others may contain secrets.
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
 #: Environment variable that is set in processes that share the machine with other races.
@@ -223,8 +225,13 @@ def _bubblewrap_command(paths: Sequence[str], writable: Sequence[str] = ()) -> l
         # too, but cannot be mapped.
         *("--dev-bind", "/dev/full", "/dev/zero"),
     ]
-    for path in dict.fromkeys(map(os.path.abspath, paths)):
-        command += ["--bind" if path in writable else "--ro-bind-try", path, path]
+    mounted: set[str] = set()
+    for path in (place(path) for path in paths for place in (os.path.abspath, os.path.realpath)):
+        if path in writable or not mounted & {path, *map(str, Path(path).parents)}:
+            command += ["--bind" if path in writable else "--ro-bind-try", path, path]
+            mounted.add(path)
+    for path in filter(os.path.exists, _HIDDEN):
+        command += ["--ro-bind", "/dev/null", path]
     for place in ("/proc", "/dev/pts", "/dev", "/"):  # root could change kernel settings in /proc
         command += ["--remount-ro", place]
     return [*command, "--"]
@@ -260,6 +267,6 @@ def _python_paths() -> Iterator[str]:
         yield from (os.path.join(prefix, name) for name in _PREFIX)
     yield from (path for path in search_path() if Path(os.path.realpath(path)).name in INSTALLED)
     yield str(_PACKAGE)
-    yield from (os.path.realpath(_PACKAGE / name) for name in _LINKED)
+    yield from (str(_PACKAGE / name) for name in _LINKED)
     for folder in filter(os.path.isabs, os.environ.get("LD_LIBRARY_PATH", "").split(":")):
         yield from map(str, Path(folder).glob("*.so*"))

@@ -84,6 +84,20 @@ def test_an_agent_reads_the_libraries_of_a_named_folder(project, monkeypatch):
     assert str(project / "library.so") in readable(project / "agent")
 
 
+@needs_bubblewrap
+def test_linked_packages_are_mounted_where_they_are(tmp_path, monkeypatch):
+    """A link in a mount would lead nowhere."""
+    shared = tmp_path / "shared" / "site-packages"
+    (tmp_path / "venv" / "lib").mkdir(parents=True)
+    shared.mkdir(parents=True)
+    (tmp_path / "venv" / "lib" / "site-packages").symlink_to(shared)
+    monkeypatch.setattr("sys.prefix", str(tmp_path / "venv"))
+    monkeypatch.syspath_prepend(tmp_path / "venv" / "lib" / "site-packages")
+    assert {str(tmp_path / "venv" / "lib"), str(shared)} <= {*readable(AGENTS / "plain")}
+    sandbox.bubblewrap_problem.cache_clear()
+    assert sandbox.bubblewrap_problem() == ""
+
+
 @pytest.mark.slow
 @needs_bubblewrap
 def test_a_relative_or_linked_interpreter_does_not_weaken_the_sandbox(tmp_path):

@@ -53,6 +53,8 @@ PROBES = {
     "change stkzoo": "bool(os.open(stkzoo.__file__, os.O_WRONLY))",
     "change the installed packages": "bool(os.open(numpy.__file__, os.O_WRONLY))",
     "change the kernel's settings": "bool(os.open('/proc/sys/kernel/core_pattern', os.O_WRONLY))",
+    "read the user's keys": "bool(open('/proc/keys').read())",
+    "read the machine's memory pages": "bool(open('/proc/kpageflags', 'rb').read(8))",
     "leave a temporary file": "open('/tmp/' + MARK, 'w').write('x') and os.path.exists('/tmp')",
     "leave shared memory": "open('/dev/shm/' + MARK, 'w').write('x') == 1",
     "fill the disk": "fill(os.environ.get('TMPDIR', '/tmp')) > 64",
