@@ -101,7 +101,7 @@ def enclose(
     if sandbox == NONE:
         return Enclosure()
     agent_paths = _agent_paths(files, place)
-    paths = [*_python_paths(), *_SYSTEM, *agent_paths, *([adapter] if adapter else [])]
+    paths = [*_SYSTEM, *_python_paths(), *agent_paths, *([adapter] if adapter else [])]
     changed = agent_paths if adapter else []  # an adapter's prepare_module_dir may change them
     home = "/tmp"  # noqa: S108 - inside the sandbox
     if sandbox == LANDLOCK:
@@ -197,7 +197,7 @@ def bubblewrap_problem() -> str:
         return "sandboxes need Linux"
     if shutil.which("bwrap") is None:
         return "bubblewrap is not installed; install it (Debian, Ubuntu: apt install bubblewrap)"
-    prefix = _bubblewrap_command([*_python_paths(), *_SYSTEM])
+    prefix = _bubblewrap_command([*_SYSTEM, *_python_paths()])
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter
             [*prefix, python_executable(), "-I", "-S", "-c", ""],
@@ -258,11 +258,6 @@ def _python_paths() -> Iterator[str]:
     Other folders of the search path, such as those of editable installations, are not among them:
     they contain files of the user.
     """
-    interpreter = python_executable()
-    yield interpreter
-    while os.path.islink(interpreter):  # a link may lead through a folder outside of the prefixes
-        interpreter = os.path.join(os.path.dirname(interpreter), os.readlink(interpreter))
-        yield interpreter
     for prefix in dict.fromkeys((sys.prefix, sys.base_prefix, sys.exec_prefix)):
         yield from (os.path.join(prefix, name) for name in _PREFIX)
     yield from (path for path in search_path() if Path(os.path.realpath(path)).name in INSTALLED)
@@ -270,3 +265,8 @@ def _python_paths() -> Iterator[str]:
     yield from (str(_PACKAGE / name) for name in _LINKED)
     for folder in filter(os.path.isabs, os.environ.get("LD_LIBRARY_PATH", "").split(":")):
         yield from map(str, Path(folder).glob("*.so*"))
+    interpreter = python_executable()
+    yield interpreter
+    while os.path.islink(interpreter):  # a link may lead through a folder outside of the prefixes
+        interpreter = os.path.join(os.path.dirname(interpreter), os.readlink(interpreter))
+        yield interpreter
