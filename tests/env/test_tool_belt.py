@@ -147,6 +147,9 @@ def test_a_gymnasium_wrapper_works_with_the_id(wrap, view):
             assert observation in env.observation_space
 
 
+@pytest.mark.skipif(
+    not hasattr(wrappers, "DiscretizeObservation"), reason="this Gymnasium does not have it"
+)
 def test_discretize_observation_works_with_bounded_observations():
     def speed_class(env):
         bounded = Box(-60.0, 60.0, (3,), np.float32)
@@ -238,7 +241,7 @@ def make_vec(view="flattened_continuous_actions", mode="vector_entry_point", num
 
 
 def test_all_vector_wrappers_of_gymnasium_are_covered():
-    assert set(vector.__all__) == {*VECTORS, *NEXT_STEP_ONLY, *NOT_HERE}
+    assert set(vector.__all__) <= {*VECTORS, *NEXT_STEP_ONLY, *NOT_HERE}
 
 
 @pytest.mark.slow
