@@ -95,6 +95,7 @@ EACH_FRONT = pytest.mark.parametrize(
     [
         pytest.param(make, id=name, marks=pytest.mark.slow if name in QUICK else pytest.mark.matrix)
         for name, make in FRONTS.items()
+        if name != "async"  # drives the same races as sync, in processes that show no pictures
     ],
 )
 
