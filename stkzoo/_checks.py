@@ -9,7 +9,7 @@ import math
 import numbers
 import operator
 import re
-from collections.abc import Collection, Hashable, Iterable
+from collections.abc import Collection, Hashable, Iterable, Sequence
 from typing import Any, TypeVar
 
 from stkzoo.errors import MAX_LINE, ArgumentNameError, ConfigError
@@ -92,6 +92,24 @@ def check_flag(name: str, value: object) -> bool:
     if not isinstance(value, Hashable) or value not in (True, False):
         raise ConfigError(f"{name} is {shortened(value)}, expected True or False")
     return bool(value)
+
+
+def check_type(name: str, value: object, valid: Any, expected: str) -> Any:
+    """Checks the type of a value, and returns the value.
+
+    Args:
+        name: name of the value in the error text.
+        value: the value.
+        valid: a type or several, as for ``isinstance``. Texts are no ``Sequence``.
+        expected: what was expected, for the error text.
+
+    Raises:
+        ConfigError: the value has another type.
+    """
+    is_text = valid is Sequence and isinstance(value, (str, bytes))
+    if is_text or not isinstance(value, valid):
+        raise ConfigError(f"{name} is {shortened(value)}, expected {expected}")
+    return value
 
 
 def check_name(noun: str, name: object, known: Collection[str], owner: str = "") -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from stkzoo._checks import check_arguments, check_name, check_number
+from stkzoo._checks import check_arguments, check_name, check_number, check_type
 from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
 
@@ -68,10 +68,7 @@ class AgentSpec:
         """
         if isinstance(value, AgentSpec):
             return value
-        if not isinstance(value, Mapping):
-            raise ConfigError(
-                f"{name} is {value!r}, expected an AgentSpec or a mapping of its fields"
-            )
+        check_type(name, value, Mapping, "an AgentSpec or a mapping of its fields")
         _check_fields(cls, value, name)
         mode = value.get("camera_mode")
         if isinstance(mode, int) and mode in list(CameraMode):

@@ -12,7 +12,7 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo._checks import check_arguments, shortened
+from stkzoo._checks import check_arguments, check_type, shortened
 from stkzoo._left_out import LeftOutNames
 from stkzoo.agent_names import actions_by_agent, of_agent
 from stkzoo.errors import ConfigError
@@ -252,12 +252,8 @@ class ParallelAgentAdapter(BaseParallelWrapper[str, Any, Any]):
 
 
 def _checked_factories(factories: object) -> dict[Any, Any]:
-    if not isinstance(factories, Mapping):
-        raise ConfigError(
-            'wrapper_factories has to be a mapping from agents to views, such as {"0": "simple"}, '
-            f"but is {shortened(factories)}"
-        )
-    return dict(factories)
+    expected = 'a mapping from agents to views, such as {"0": "simple"}'
+    return dict(check_type("wrapper_factories", factories, Mapping, expected))
 
 
 def _with_step_size(options: Mapping[str, Any] | None, env: Any) -> dict[str, Any] | None:

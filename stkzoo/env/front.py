@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import EzPickle
 
-from stkzoo._checks import shortened
+from stkzoo._checks import check_type
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
@@ -20,7 +20,6 @@ from stkzoo.env.race import Race
 from stkzoo.env.rendering import scene_of
 from stkzoo.env.scenario import Scenario
 from stkzoo.env.state import RaceState
-from stkzoo.errors import ConfigError
 from stkzoo.render.scene import Scene
 
 if TYPE_CHECKING:
@@ -92,9 +91,7 @@ class RaceFront(EzPickle):
 
     @options.setter
     def options(self, options: RaceOptions) -> None:
-        if not isinstance(options, RaceOptions):
-            raise ConfigError(f"options is {shortened(options)}, expected RaceOptions")
-        self.live_race.options = options
+        self.live_race.options = check_type("options", options, RaceOptions, "RaceOptions")
 
     @property
     def np_random(self) -> np.random.Generator:
@@ -183,8 +180,7 @@ class RaceFront(EzPickle):
             AgentException: an agent's wrapper holds an object that cannot be copied.
             EngineError: this platform cannot fork races, or the game crashed.
         """
-        if not isinstance(other, RaceFront):
-            raise ConfigError(f"other is {shortened(other)}, expected an environment of one race")
+        check_type("other", other, RaceFront, "an environment of one race")
         with self.live_race.turn.of("follow"), other.live_race.turn.of("clone"):
             self.live_race.follow(other.live_race)
 

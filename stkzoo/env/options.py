@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from stkzoo._checks import check_flag, check_number, check_whole, unknown_name
+from stkzoo._checks import check_flag, check_number, check_type, check_whole, unknown_name
 from stkzoo.config import NORMAL, AgentSpec, check_mode
 from stkzoo.env.starts import read_start
 from stkzoo.errors import ConfigError
@@ -92,8 +92,7 @@ class RaceOptions:
         check_mode(self.mode)
         if not isinstance(self.events, bool):
             raise ConfigError(f"events is {self.events!r}, expected True or False")
-        if self.reverse is not None and not isinstance(self.reverse, bool):
-            raise ConfigError(f"reverse is {self.reverse!r}, expected True, False or None")
+        check_type("reverse", self.reverse, bool | None, "True, False or None")
         for name in _SECONDS:
             if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), 0.0, unit="seconds")
@@ -109,10 +108,7 @@ class RaceOptions:
         Raises:
             ConfigError: a value is invalid.
         """
-        if not isinstance(options, Mapping):
-            raise ConfigError(
-                f"options is {options!r}, expected a dict from names of options to values"
-            )
+        check_type("options", options, Mapping, "a dict from names of options to values")
         names = {field.name for field in fields(self)}
         return replace(self, **{name: value for name, value in options.items() if name in names})
 
@@ -186,15 +182,13 @@ def check_agents(
             "raise num_kart or drop agents"
         )
     for index, agent in enumerate(agents):
-        if not isinstance(agent, AgentSpec):
-            raise ConfigError(f"agent {index} is {agent!r}, expected an AgentSpec")
+        check_type(f"agent {index}", agent, AgentSpec, "an AgentSpec")
         check_flag(f"use_ai of agent {index}", agent.use_ai)
         if agent.rank_start is not None:
             check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
         check_number(f"color of agent {index}", agent.color, 0.0, 1.0)
         known_kart(agent.kart, karts, unknown_karts)
-        if not isinstance(agent.name, str):
-            raise ConfigError(f"name of agent {index} is {agent.name!r}, expected a string")
+        check_type(f"name of agent {index}", agent.name, str, "a string")
         camera_mode(agent)
     taken = [agent.rank_start for agent in agents if agent.rank_start is not None]
     for rank in taken:

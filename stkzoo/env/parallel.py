@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
-from stkzoo._checks import check_arguments, check_flag, check_number, check_whole
+from stkzoo._checks import check_arguments, check_flag, check_number, check_type, check_whole
 from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
@@ -323,8 +323,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         return self.live_race.infos(self._ids_of(agents))
 
     def _ids_of(self, agents: Sequence[str]) -> list[str]:
-        if isinstance(agents, str) or not isinstance(agents, Sequence):
-            raise ConfigError(f"agents is {agents!r}, expected a list of agents")
+        check_type("agents", agents, Sequence, "a list of agents")
         return [find_agent(agent, self.possible_agents) for agent in agents]
 
 

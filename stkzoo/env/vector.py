@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv
 
-from stkzoo._checks import check_whole, unknown_argument
+from stkzoo._checks import check_type, check_whole, unknown_argument
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.gymnasium_api import split_keywords
@@ -19,7 +19,6 @@ from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.options import known_kart
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.rows import is_of_fixed_size
-from stkzoo.errors import ConfigError
 from stkzoo.mdp.rewards import RewardOver
 
 
@@ -93,8 +92,7 @@ def make_stkrace_vec(
     for name in vec_kwargs:
         if name not in known:
             raise unknown_argument(name, known)
-    if not isinstance(env_kwargs, (Mapping, type(None))):
-        raise ConfigError(f"env_kwargs is {env_kwargs!r}, expected a dict of keyword arguments")
+    check_type("env_kwargs", env_kwargs, Mapping | None, "a dict of keyword arguments")
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:

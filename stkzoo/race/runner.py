@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._checks import check_type
 from stkzoo._schema import distinct_name, plain_name
 from stkzoo.config import AgentSpec
 from stkzoo.drivers.driver import Driver, check_adapter, find_driver
@@ -88,8 +89,7 @@ def run_race(
         EngineError: the game crashed or hung.
         RaceInterrupted: Ctrl-C interrupted the race. The exception contains the result so far.
     """
-    if isinstance(drivers, str) or not isinstance(drivers, Sequence):
-        raise ConfigError(f"drivers is {drivers!r}, expected a list of drivers or their names")
+    check_type("drivers", drivers, Sequence, "a list of drivers or their names")
     if not drivers:
         raise ConfigError("no drivers; name at least one, such as 'heuristic'")
     _check_listeners(listeners)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from stkzoo._arguments import option
-from stkzoo._checks import check_arguments, check_name, check_number, check_whole
+from stkzoo._checks import check_arguments, check_name, check_number, check_type, check_whole
 from stkzoo._schema import Level, Whole
 from stkzoo.config import NORMAL, RACE_MODES, check_mode
 from stkzoo.drivers.instances import DriverLimits
@@ -88,8 +88,7 @@ class RaceSettings:
         check_mode(self.mode)
         check_whole("seed", self.seed, 0)
         check_whole("max_restarts", self.max_restarts, 0)
-        if self.adapter is not None and not isinstance(self.adapter, (str, os.PathLike)):
-            raise ConfigError(f"adapter is {self.adapter!r}, expected the path of a Python file")
+        check_type("adapter", self.adapter, str | os.PathLike | None, "the path of a Python file")
         for name in ("max_steps", "max_steps_after_first", "karts_finished"):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 1)
@@ -134,8 +133,7 @@ class RaceSettings:
         known = [entry.name for entry in fields(cls) if entry.name not in decided]
         for name in changes:
             check_name("setting of a race", name, known)
-        if not isinstance(settings, RaceSettings | None):
-            raise ConfigError(f"settings is {settings!r}, expected RaceSettings")
+        check_type("settings", settings, RaceSettings | None, "RaceSettings")
         return replace(settings or cls(), **changes)
 
     @property

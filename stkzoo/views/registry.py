@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 from gymnasium import spaces
 
-from stkzoo._checks import check_name, shortened
+from stkzoo._checks import check_name, check_type, shortened
 from stkzoo.agent_names import by_agent
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import EXTRAS, extras_of, kart_observation_space
@@ -179,16 +179,13 @@ def views_of_agents(choice: object, agents: Sequence[str]) -> dict[str, ViewFact
     return {**dict.fromkeys(agents, VIEWS["full"]), **chosen}
 
 
-def _with_options(view: ViewFactory, options: object) -> ViewFactory:
+def _with_options(view: ViewFactory, options: Any) -> ViewFactory:
     """Returns the view with some options changed."""
     if not isinstance(view, View):
         name = getattr(view, "__name__", type(view).__name__)
         view = View(name, "A function with options.", (view,))
-    if not isinstance(options, Mapping):
-        raise ConfigError(
-            f"the options of the {view.name} view are {shortened(options, 200)}, expected a "
-            "mapping such as {'state_items': 3}"
-        )
+    expected = "a mapping such as {'state_items': 3}"
+    check_type(f"options of the {view.name} view", options, Mapping, expected)
     known = options_of(view)
     for name in options:
         if not known:

@@ -86,7 +86,7 @@ def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option)
             "Known: add_mask, karts_motion, state_items, state_karts, state_paths.",
         ),
         (("full", {"radius": 3}), "the full view has no options; 'radius' came"),
-        (("simple", 3), "the options of the simple view are 3, expected a mapping"),
+        (("simple", 3), "options of the simple view is 3, expected a mapping"),
         (("simple", {"state_items": 0}), "state_items is 0, expected a whole number of 1 or more"),
         (("control", {"buttons": "fire"}), "buttons is 'fire', expected some of drift, fire"),
         (("control", {"control_input": "sped"}), "the action has the name 'sped', expected one of"),

@@ -159,7 +159,7 @@ def test_views_can_be_given_by_name_and_options(form):
 
 
 def test_factories_that_are_not_a_mapping_are_refused():
-    with pytest.raises(ConfigError, match="has to be a mapping from agents to views"):
+    with pytest.raises(ConfigError, match="expected a mapping from agents to views"):
         MonoAgentWrapperAdapter(SmallRace(), wrapper_factories=[simple])
 
 

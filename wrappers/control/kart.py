@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import check_arguments, check_name, check_number
+from stkzoo._checks import check_arguments, check_name, check_number, check_type
 from stkzoo.errors import ConfigError
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -133,10 +133,8 @@ class CarParameters:
         """
         if isinstance(value, CarParameters):
             return value
-        if value is not None and not isinstance(value, Mapping):
-            raise ConfigError(
-                f"params is {value!r}, expected CarParameters or a mapping of its fields"
-            )
+        expected = "CarParameters or a mapping of its fields"
+        check_type("params", value, Mapping | None, expected)
         kart = kart or "tux"
         check_name("kart", kart, KARTS)
         wheel_base, s_max = KARTS[kart]

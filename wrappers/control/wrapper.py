@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo._checks import check_flag, check_name, check_number, shortened
+from stkzoo._checks import check_flag, check_name, check_number, check_type, shortened
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
@@ -146,9 +146,8 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         return {**observation, "action": {"control": read, **buttons}}
 
 
-def _checked_buttons(buttons: object) -> tuple[str, ...]:
-    if isinstance(buttons, str) or not isinstance(buttons, Sequence):
-        raise ConfigError(f"buttons is {buttons!r}, expected some of {', '.join(BUTTONS)}")
+def _checked_buttons(buttons: Any) -> tuple[str, ...]:
+    check_type("buttons", buttons, Sequence, f"some of {', '.join(BUTTONS)}")
     for button in buttons:
         check_name("button", button, BUTTONS)
     return tuple(button for button in BUTTONS if button in buttons)

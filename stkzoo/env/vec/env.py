@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo._checks import check_flag, check_whole, shortened
+from stkzoo._checks import check_flag, check_type, check_whole, shortened
 from stkzoo._os import cpu_count
 from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
@@ -200,10 +200,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ConfigError: a seed or an option is invalid.
             EngineError: the game crashed several times in a row.
         """
-        if options is not None and not isinstance(options, Mapping):
-            raise ConfigError(
-                f"options is {options!r}, expected a dict from names of options to values"
-            )
+        expected = "a dict from names of options to values"
+        check_type("options", options, Mapping | None, expected)
         steps = self.reset_slots(seed, [options] * self.num_races)
         return steps.observations, self._infos(steps)
 

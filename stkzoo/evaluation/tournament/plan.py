@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._checks import check_whole, shortened
+from stkzoo._checks import check_type, check_whole, shortened
 from stkzoo._schema import Whole
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import BatchAgent, find_agents, is_among
@@ -153,8 +153,7 @@ def plan_tournament(
         AssetError: the game's data is missing.
     """
     served, access = ask_servers(servers)
-    if isinstance(agents, str) or not isinstance(agents, Sequence):
-        raise ConfigError(f"agents is {shortened(agents, 80)}, expected a list of at least two")
+    check_type("agents", agents, Sequence, "a list of at least two")
     if (count := len(agents) + len(served)) < 2:
         raise ConfigError(
             f"a tournament needs at least two agents, such as my_agent and ai; this one has {count}"

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from stkzoo._checks import check_type
 from stkzoo._installation import pip_install
 from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
@@ -99,19 +100,14 @@ def other_versions(replay: Replay) -> str:
 
     Another version may be why a race differs.
     """
-    _check_replay(replay)
+    check_type("replay", replay, Replay, "a Replay from load_replay(path)")
     here = versions_now()
     others = (name for name, version in here.items() if replay.versions.get(name) != version)
     return ", ".join(f"{name} {here[name]}" for name in others)
 
 
-def _check_replay(replay: object) -> None:
-    if not isinstance(replay, Replay):
-        raise ConfigError(f"the replay is {replay!r}, expected a Replay from load_replay(path)")
-
-
 def _check_engine(replay: Replay, any_engine: bool) -> None:
-    _check_replay(replay)
+    check_type("replay", replay, Replay, "a Replay from load_replay(path)")
     recorded, here = replay.versions.get("pystk2"), versions_now()["pystk2"]
     if recorded != here and not any_engine:
         raise ReplayError(
