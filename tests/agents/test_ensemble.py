@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.planning.driver import (
-    OFFSETS,
-    START_STEER,
     PolicyInput,
     is_drifting,
-    plan_turns,
 )
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
@@ -26,8 +22,7 @@ from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
-from stkzoo.wrappers.racing import BRAKE as BRAKE_PEDAL
-from stkzoo.wrappers.racing import CHOICES, STEERS
+from stkzoo.wrappers.racing import CHOICES
 from tests.support.networks import small_network
 
 STEER, PEDAL, DRIFT, NITRO, FIRE = np.cumsum((0, *CHOICES[:-1]))
@@ -64,49 +59,6 @@ def test_a_larger_weight_changes_more_choices(views):
         return np.mean([policy.best(view) != plans.best(view) for view in views])
 
     assert 0 < changed(2.0) < changed(50.0)
-
-
-def _nearest(turns):
-    return np.abs(STEERS - turns[:, None]).argmin(axis=1).tolist()
-
-
-@pytest.mark.parametrize("side", [-1, 1])
-def test_it_steers_towards_the_networks_choice_as_far_as_its_plans_allow(views, side):
-    for view in views:
-        begin, turn, *_ = ensemble(1e3, small_network(steers=side)).best(view).T
-        planned = plan_turns(view.inputs)[range(4), begin]
-        chosen, reach = (np.clip(planned + more, -1, 1) for more in (OFFSETS[turn], side * 0.45))
-        assert _nearest(chosen) == _nearest(reach)
-
-
-def test_networks_decide_on_drifts_brakes_nitro_and_fire(views):
-    for likes, wanted in {
-        DRIFT + 1: (DRIFT_LEFT, DRIFT_RIGHT),
-        PEDAL + BRAKE_PEDAL: (BRAKE,),
-    }.items():
-        begins = [ensemble(1e3, small_network([likes])).best(view)[:, 0] for view in views]
-        possible = [view.prior[:, list(wanted)].max(axis=1) > -29 for view in views]
-        assert all(np.isin(b[can], wanted).all() for b, can in zip(begins, possible, strict=True))
-        assert np.concatenate(possible).any()
-    for choice, place in ((2, NITRO), (3, FIRE)):
-        for pressed in (0, 1):
-            policy = ensemble(1e3, small_network([place + pressed]))
-            assert all((policy.best(view)[:, choice] == pressed).all() for view in views)
-
-
-def test_a_drift_starts_with_enough_steering_to_its_side(views):
-    """The networks do not distinguish turns of 0.1 and 0.3, so the policy uses 0.3 for both."""
-    nearest = np.abs(STEERS - START_STEER).argmin()
-    policy = ensemble(1e3, small_network([DRIFT + 1, STEER + nearest]))
-    count = 0
-    for view in views:
-        begin, turn, *_ = policy.best(view).T
-        begins = (begin == DRIFT_RIGHT) & ~is_drifting(view.inputs)
-        planned = plan_turns(view.inputs)[:, DRIFT_RIGHT]
-        as_planned = planned < 0.2  # the plan turns less, so START_STEER is enough
-        assert (OFFSETS[turn[begins & as_planned]] <= 0.08).all()
-        count += (begins & as_planned).sum()
-    assert count > 0
 
 
 def test_several_networks_are_averaged(views):

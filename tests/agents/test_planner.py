@@ -8,10 +8,7 @@ import pytest
 from stkzoo import race_v0
 from stkzoo.agents.heuristic import create_state
 from stkzoo.agents.planner import Candidate, Planner, PlannerSettings, base_policy
-from stkzoo.agents.planner.candidates import changed, draw_candidate
 from stkzoo.agents.planner.copies import RaceCopy
-from stkzoo.agents.planning.driver import CHOICES, HEADS, OFFSETS, PolicyInput
-from stkzoo.agents.planning.plans import DRIFT_LEFT, FREE
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import DemoRecorder, DemoView, record_demonstrations
 from stkzoo.race import run_race
@@ -156,45 +153,6 @@ def test_refuses_an_unknown_base_driver(tmp_path):
 
 
 # ---------------------------------------------------------------------- candidates
-
-
-def choices_of(candidate, step=0, offset=3, missing=()):
-    """Returns the choices with a candidate. The base policy continues with ``offset``."""
-    prior = np.zeros((1, sum(CHOICES)), np.float32)
-    prior[:, HEADS[0]][:, list(missing)] = -30.0
-    base = np.array([[FREE, offset, 0, 0]])
-    policy = changed(lambda _: base.copy(), [candidate], step)
-    return policy(PolicyInput(np.zeros((1, 0), np.float32), prior))[0].tolist()
-
-
-DRIFT = Candidate(shift=1, steps=3, maneuver=DRIFT_LEFT)
-LAST = len(OFFSETS) - 1
-
-
-@pytest.mark.parametrize(
-    ("candidate", "options", "choices"),
-    [
-        (Candidate(shift=-2, steps=3), {}, [FREE, 1, 0, 0]),
-        (Candidate(shift=-2, steps=3), {"step": 3}, [FREE, 3, 0, 0]),
-        (Candidate(shift=3, steps=3), {"offset": LAST - 1}, [FREE, LAST, 0, 0]),
-        (DRIFT, {}, [DRIFT_LEFT, 4, 0, 0]),
-        (DRIFT, {"missing": [DRIFT_LEFT]}, [FREE, 4, 0, 0]),
-        (Candidate(shift=0, steps=3, flips_nitro=True), {}, [FREE, 3, 1, 0]),
-    ],
-)
-def test_a_candidate_changes_possible_choices_for_its_steps(candidate, options, choices):
-    assert choices_of(candidate, **options) == choices
-
-
-def test_the_rest_of_a_candidate_is_shorter():
-    assert Candidate(shift=2, steps=6).rest(4) == Candidate(shift=2, steps=2)
-    assert Candidate(shift=2, steps=3).rest(4).steps == 0
-
-
-def test_sampled_candidates_change_the_offset():
-    random = np.random.default_rng(0)
-    drawn = [draw_candidate(random, (3, 6)) for _ in range(50)]
-    assert all(own.shift and own.steps in (3, 6) and own.maneuver is None for own in drawn)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.network import RacingNetwork, racing_weights
-from stkzoo.agents.training.ppo.opponents import Matchmaker, draw_opponent
+from stkzoo.agents.training.ppo.opponents import Matchmaker
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
@@ -34,7 +34,7 @@ from stkzoo.agents.training.sb3.selfplay import (
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
+from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE
 from tests.support.training import last_policy, log_of, run_and_kill, words_of
 
 SMALL = {
@@ -69,22 +69,6 @@ def policy():
 
 
 # ---------------------------------------------------------------------- rivals and curriculum
-
-
-def test_hard_rivals_are_drawn_more_often():
-    matchmaker = Matchmaker("prioritized", 3, share=1.0)
-    for name in ("hard", "even", "easy"):
-        matchmaker.add(name)
-    for _ in range(60):
-        matchmaker.update("hard", 0.0)
-        matchmaker.update("easy", 1.0)
-    random = np.random.default_rng(0)
-    drawn = [draw_opponent(matchmaker.odds(), random) for _ in range(600)]
-    counts = [drawn.count(name) for name in ("hard", "even", "easy")]
-    assert counts == sorted(counts, reverse=True)
-    assert counts[0] > 2 * counts[1] > 0
-    assert counts[2] > 0  # easy rivals still appear
-    assert matchmaker.prioritized(["even"]) == {"even": 1.0}
 
 
 def test_a_full_pool_drops_the_most_beaten_rival():
@@ -196,19 +180,19 @@ def test_a_finish_is_a_truncation_for_the_learner(monkeypatch, tmp_path):
 RIGHT, LEFT = 15, 5  # 0.31 of the full steering angle
 
 
-def views(*speeds, skid=2.0, **parts):
+def views(*speeds, **parts):
     """Returns observations of karts with the given speeds [m/s]."""
     seen = np.zeros((len(speeds), SIZE), np.float32)
     seen[:, PLACES["velocity"].start + 2] = np.array(speeds) / 20.0
-    seen[:, PLACES["skeed_factor"]] = skid
+    seen[:, PLACES["skeed_factor"]] = 2.0  # they skid
     for part, number in parts.items():
         seen[:, PLACES[part].start] = number
     return seen
 
 
-def drives(action_filter, steers, drifts, **others):
+def drives(action_filter, steers, drifts):
     """Returns the filtered choices for one step's steering and drifting."""
-    action_filter.look(views(*[20.0] * len(steers), **others))
+    action_filter.look(views(*[20.0] * len(steers)))
     choices = np.zeros((len(steers), 5), int)
     choices[:, 0], choices[:, 2] = steers, drifts
     return action_filter.apply(choices)
@@ -226,55 +210,6 @@ def test_a_drift_is_held_from_its_start():
     assert down(0, 0) == [0, 1]
     action_filter.forget(slice(1, 2))
     assert down(0, 0) == [0, 0]
-
-
-def test_a_drift_needs_speed_a_side_and_a_finished_hop():
-    assert drives(ActionFilter(1, 3), [10], [1])[0, 2] == 0
-    slow, choices = ActionFilter(1, 3), np.array([[RIGHT, 0, 1, 0, 0]])
-    slow.look(views(8.0))
-    assert slow.apply(choices)[0, 2] == 0
-    hops = ActionFilter(1, 1)
-    assert [drives(hops, [RIGHT], [asked])[0, 2] for asked in (1, 0, 1, 1, 1)] == [1, 0, 0, 0, 1]
-
-
-def test_steering_to_the_other_side_ends_a_drift():
-    action_filter = ActionFilter(2, 11)
-    drives(action_filter, [RIGHT, RIGHT], [1, 1])
-    assert drives(action_filter, [LEFT, 9], [1, 1])[:, 2].tolist() == [0, 1]
-
-
-def test_a_drift_that_the_game_ended_is_not_held():
-    action_filter = ActionFilter(1, 11)
-    held = [drives(action_filter, [RIGHT], [step == 0], skid=1.0)[0, 2] for step in range(6)]
-    assert held == [1, 1, 1, 1, 0, 0]
-
-
-def test_a_choice_turns_as_much_in_a_drift_as_without():
-    action_filter = ActionFilter(1, 11)
-    first = drives(action_filter, [RIGHT], [1])
-    assert STEERS[first[0, 0]] == pytest.approx(0.31)  # unchanged, to set the side
-    for choice in (14, 15, 16, 17, 18):
-        steer = STEERS[drives(action_filter, [choice], [1])[0, 0]]
-        assert 0.2 + 0.6 * (1 + steer) / 2 == pytest.approx(STEERS[choice], abs=0.04)
-    assert drives(action_filter, [20], [1])[0, 0] == 20  # the limit during a drift
-    assert drives(action_filter, [10], [1])[0, 0] == 0
-
-
-def test_nitro_is_used_before_more_is_started():
-    action_filter, choices = ActionFilter(1, 1), np.array([[10, 0, 0, 1, 0]])
-    pressed = []
-    for step in range(60):
-        action_filter.look(views(20.0, energy=0.1 if step > 5 else 0.0))
-        pressed.append(int(action_filter.apply(choices)[0, 3]))
-    assert np.flatnonzero(pressed).tolist() == [6, 35]
-
-
-def test_without_hold_drifts_and_nitro_are_not_changed():
-    free, random = ActionFilter(4, 0), np.random.default_rng(1)
-    for _ in range(30):
-        choices = random.integers(0, [21, 3, 2, 2, 2], (4, 5))
-        free.look(views(*[15.0] * 4))
-        assert (free.apply(choices) == choices).all()
 
 
 def test_the_memory_of_the_filter_is_observed():
@@ -309,15 +244,6 @@ def test_a_stuck_kart_is_freed_but_not_on_the_grid():
     action_filter.forget(slice(0, 2))
     action_filter.look(views(0.0, 0.0))
     assert (action_filter.apply(choices) == choices).all()
-
-
-def test_a_kart_far_off_the_road_requests_a_rescue():
-    action_filter, choices = ActionFilter(1, 0), np.array([[10, 0, 0, 0, 0]])
-    calls = []
-    for _ in range(15):
-        action_filter.look(views(12.0, line_position=1.5, line_room=0.5))  # 10 m beyond the edge
-        calls.append(int(action_filter.apply(choices)[0, 1] == RESCUE))
-    assert np.flatnonzero(calls).tolist() == [10]
 
 
 def test_an_error_for_a_run_of_an_older_version_says_what_to_do(tmp_path):

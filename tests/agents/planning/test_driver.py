@@ -12,7 +12,6 @@ from stkzoo.agents.planning.driver import (
     ALL_LOOKS,
     CHOICES,
     HEADS,
-    INPUT_SIZE,
     PlanDriver,
     mirrored_choices,
     mirrored_inputs,
@@ -20,10 +19,6 @@ from stkzoo.agents.planning.driver import (
 )
 from stkzoo.agents.planning.memory import MEMORY_MIRROR
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.plans import (
-    DRIFT_LEFT,
-    DRIFT_RIGHT,
-)
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import (
@@ -168,19 +163,6 @@ def test_a_mirrored_race_gives_mirrored_inputs():
         np.testing.assert_allclose(seen.inputs, mirrored_inputs(view.inputs), atol=2e-3)
         np.testing.assert_allclose(seen.prior, mirrored_prior(view.prior), atol=2e-2)
         assert (twin.memory.numbers() == drivers.memory.numbers() * MEMORY_MIRROR).all()
-
-
-def test_mirroring_twice_changes_nothing():
-    chance = np.random.default_rng(0)
-    inputs = chance.normal(size=(4, INPUT_SIZE)).astype(np.float32)
-    prior = chance.normal(size=(4, sum(CHOICES))).astype(np.float32)
-    choices = np.stack([chance.integers(0, n, 9) for n in CHOICES], axis=1)
-    assert (mirrored_inputs(mirrored_inputs(inputs)) == inputs).all()
-    assert (mirrored_prior(mirrored_prior(prior)) == prior).all()
-    assert (mirrored_choices(mirrored_choices(choices)) == choices).all()
-    assert mirrored_choices(np.array([[DRIFT_LEFT, 0, 1, 0]])).tolist() == [
-        [DRIFT_RIGHT, CHOICES[1] - 1, 1, 0]
-    ]
 
 
 def test_mirrored_choices_steer_to_the_other_side():

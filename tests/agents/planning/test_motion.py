@@ -12,7 +12,6 @@ from stkzoo.agents.planning.motion import (
     BOOST_STEPS,
     DRIFT_APART,
     DRIFT_TURN,
-    RELEASE_TURN,
     learned_motion,
 )
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -107,33 +106,6 @@ def test_a_drift_turns_by_the_expected_fractions_of_full_lock(fast_kart):
             drift = [control(0.3 * side, 1), *[control(steer * side, 1)] * 4]
             turn = turns_of(env, drift)[-1] * side
             assert turn == pytest.approx(0.1 * lock * share, rel=0.15)
-
-
-def test_a_kart_keeps_turning_after_a_drift_and_cannot_start_another(fast_kart):
-    env, _ = fast_kart
-    drift = [control(0.3, 1), *[control(-1.0, 1)] * 7]
-    after = turns_of(env, [*drift, *[control(0.0)] * 4])[len(drift) + 1 :]
-    assert after == pytest.approx(0.1 * RELEASE_TURN * DRIFT_TURN[0], rel=0.3)
-    again = turns_of(env, [*drift, control(0.0), *[control(-0.01, 1)] * 3])[len(drift) + 1 :]
-    assert again == pytest.approx(after[:3], abs=0.01)  # it would turn left if it drifted
-
-
-@pytest.mark.parametrize("steps", [2, 4])
-def test_after_a_short_drift_a_kart_keeps_turning_for_as_long_as_it_drifted(fast_kart, steps):
-    env, _ = fast_kart
-    drift = [control(0.3, 1), *[control(-1.0, 1)] * (steps - 1)]
-    after = turns_of(env, [*drift, *[control(0.0)] * 8])[steps + 1 :]
-    is_turning = after > 0.05 * RELEASE_TURN * DRIFT_TURN[0]
-    assert is_turning.tolist() == [step < steps - 1 for step in range(len(after))]
-
-
-@pytest.mark.parametrize("apart", range(2, 8))
-def test_a_drift_that_starts_too_soon_goes_to_the_wrong_side(fast_kart, apart):
-    env, _ = fast_kart
-    short = [control(0.3, 1), *[control(0.0)] * (apart - 1)]
-    # start a drift to the right, then widen it at once by steering to the left
-    again = turns_of(env, [*short, control(0.3, 1), *[control(-1.0, 1)] * 4])[-1]
-    assert (again > 0) == (apart >= DRIFT_APART)
 
 
 @pytest.mark.matrix
