@@ -12,6 +12,8 @@ from stkzoo.engine.assets.headless import build_headless
 from stkzoo.engine.assets.scenes import thin_scenes
 from stkzoo.engine.ground import read_scenery
 from stkzoo.errors import AssetError
+from stkzoo.tracks import SPLITS
+from tests.support.views import marked
 
 #: Runs a race of two players and four bots; prints a digest of all karts and items.
 RACE = """
@@ -52,13 +54,6 @@ def write(path, content):
 
 
 GHOST = '<object id="{0}" type="animation" interaction="ghost" model="{0}.spm"/>'
-LEVELS = """<lod><group name="tree">
-  <static-object lod_distance="40" lod_group="tree" model="tree.spm"/>
-  <static-object lod_distance="90" lod_group="tree" model="bush.spm"/>
-  <static-object lod_distance="90" lod_group="tree" model="bush.spm"/>
-  <static-object lod_distance="200" lod_group="tree" model="bush.spm"/>
-</group></lod>"""
-TREE = '<object interaction="ghost" lod_instance="true" lod_group="tree" type="animation"/>'
 TRUNK = (
     '<object id="trunk" type="animation" interaction="physicsonly" shape="cylinderY" '
     'model="trunk.spm" xyz="0.0 0.89 0.0" hpr="0.0 -0.0 0.0" scale="1.0 1.0 1.0"/>'
@@ -70,9 +65,6 @@ def data(tmp_path):
     """Writes a data folder with models and without scenes."""
     for name in ("banana-low", "wall", "bush", "tree", "trunk", "lamp"):
         write(tmp_path / "models" / f"{name}.spm", spm_file("plain.png"))
-    write(tmp_path / "models" / "leaf.spm", spm_file("Leaf.png"))
-    hues = '<materials><material name="leaf.png" hue-settings="0.1 0.5"/></materials>'
-    write(tmp_path / "textures" / "materials.xml", hues)
     return tmp_path
 
 
@@ -89,8 +81,8 @@ def model_names(scene):
     return [entry.get("model") for entry in scene.iter("object")]
 
 
-def instances(count, name="plant", more=""):
-    return "".join(f'<library name="{name}" xyz="{i} 2 3" {more}/>' for i in range(count))
+def instances(count):
+    return "".join(f'<library name="plant" xyz="{i} 2 3"/>' for i in range(count))
 
 
 class TestRemovedObjects:
@@ -149,70 +141,9 @@ class TestRemovedObjects:
         assert (data / "whole.xml").read_text() == "<scene><light/></scene>"
 
     def test_bad_number_is_reported(self, data):
-        bad = LEVELS.replace("200", "far")
+        bad = '<library name="plant" hpr="far 0 0"/>'
         with pytest.raises(AssetError, match=r"scenes in .* could not convert string"):
-            thin(data, bad + TREE)
-
-
-class TestRandomNumbers:
-    def num_draws(self, scene):
-        """Returns how many random numbers the added placeholder object draws."""
-        return max(len(scene.findall("lod/group[@name='_stkzoo_draws']/static-object")) - 1, 0)
-
-    def test_one_number_is_drawn_for_each_farther_level(self, data):
-        assert self.num_draws(thin(data, LEVELS + TREE)) == 2
-
-    def test_all_instances_but_the_first_count(self, data):
-        assert self.num_draws(thin(data, instances(4), plant=LEVELS + TREE)) == 3 * 2
-
-    def test_all_instances_of_a_solid_object_count(self, data):
-        assert self.num_draws(thin(data, instances(4), plant=LEVELS + TREE + TRUNK)) == 4 * 2
-
-    def test_instances_in_library_objects_count(self, data):
-        group = instances(3) + TRUNK
-        scene = thin(data, instances(2, "group"), plant=LEVELS + TREE + TRUNK, group=group)
-        assert self.num_draws(scene) == 2 * 3 * 2
-
-    def test_object_with_a_random_hue_still_draws_it(self, data):
-        (entry,) = thin(data, GHOST.format("leaf"))
-        assert entry.get("model") == "leaf.spm"
-        assert entry.get("lod_instance") == "true"
-        assert entry.get("lod_group") == "_stkzoo_nothing"
-
-    def test_removed_instances_still_draw_their_random_hues(self, data):
-        scene = thin(data, instances(3), plant=GHOST.format("leaf"))
-        assert model_names(scene) == ["leaf.spm"] * 2
-
-
-class TestReplacedInstances:
-    def test_upright_instances_after_the_first_are_replaced_by_their_objects(self, data):
-        scene = thin(data, instances(3, more='hpr="0 -0.0 0"'), plant=TRUNK)
-        assert [entry.tag for entry in scene] == ["library", "object", "object"]
-
-    @pytest.mark.parametrize("more", ['hpr="0 90 0"', 'if="isReverse"', 'scale="1 -1 1"'])
-    def test_other_instances_are_kept(self, data, more):
-        assert len(thin(data, instances(3, more=more), plant=TRUNK).findall("library")) == 3
-
-    @pytest.mark.parametrize(
-        "change",
-        [
-            ('type="animation"', 'type="movable"'),
-            ('interaction="physicsonly"', 'interaction="explode"'),
-            ("0.0 -0.0 0.0", "0.0 5.0 0.0"),
-            ("<object", '<object on-kart-collision="hit"'),
-            ("<object", '<object if="isReverse"'),
-        ],
-    )
-    def test_instances_of_complex_objects_are_kept(self, data, change):
-        scene = thin(data, instances(3), plant=TRUNK.replace(*change))
-        assert len(scene.findall("library")) == 3
-
-    def test_place_matches_the_game_in_single_precision(self, data):
-        more = 'scale="1.36 1.36 1.36"'
-        placed = thin(data, instances(2, more=more), plant=TRUNK).find("object")
-        height = np.float32(1.36) * np.float32(0.89) + np.float32(2)
-        assert [np.float32(word) for word in placed.get("xyz").split()] == [1, height, 3]
-        assert [np.float32(word) for word in placed.get("scale").split()] == [np.float32(1.36)] * 3
+            thin(data, 2 * bad, plant=TRUNK)
 
 
 @pytest.fixture(scope="module")
@@ -223,12 +154,15 @@ def packs(tmp_path_factory):
     return full, thinned
 
 
+#: On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced; a sound
+#: changes the ground of xr591.
+TRACKS = marked(SPLITS["all"], ["black_forest", "cocoa_temple", "xr591"])
+
+
 class TestThinnedPack:
-    # On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced; a
-    # sound changes the ground of xr591.
     @pytest.mark.slow
     @pytest.mark.parametrize("reverse", [False, pytest.param(True, marks=pytest.mark.matrix)])
-    @pytest.mark.parametrize("track", ["black_forest", "cocoa_temple", "xr591"])
+    @pytest.mark.parametrize("track", TRACKS)
     def test_races_with_bots_are_the_same_bit_for_bit(self, packs, track, reverse):
         digests = {self.race(root, track, reverse) for root in packs}
         assert len(digests) == 1
