@@ -11,31 +11,17 @@ from __future__ import annotations
 import gc
 import time
 import tracemalloc
-from dataclasses import dataclass
 
 from tests.chaos.targets import Target
 
-__all__ = ["MAX_SECONDS", "Cost", "feed_measured"]
+__all__ = ["feed_measured"]
 
 #: CPU time that one input may take [s].
-MAX_SECONDS = 1.0
+_MAX_SECONDS = 1.0
 _ATTEMPTS = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """The cost of one input.
-
-    Attributes:
-        memory: peak memory above the start [bytes].
-        seconds: CPU time of all threads, including the cost of measuring [s].
-    """
-
-    memory: int
-    seconds: float
-
-
-def feed_measured(target: Target, data: bytes) -> Cost:
+def feed_measured(target: Target, data: bytes) -> None:
     """Feeds an input to a target and checks its cost.
 
     An input that exceeds a limit is measured again, because garbage collection or the growth of one
@@ -47,21 +33,21 @@ def feed_measured(target: Target, data: bytes) -> Cost:
     """
     limit = target.max_memory(len(data))
     for _ in range(_ATTEMPTS):
-        cost = _measured(target, data)
-        if cost.memory <= limit and cost.seconds <= MAX_SECONDS:
+        memory, seconds = _measured(target, data)
+        if memory <= limit and seconds <= _MAX_SECONDS:
             break
         gc.collect()
     else:
         raise AssertionError(
-            f"{len(data)} bytes took {cost.memory} bytes of memory and {cost.seconds:.2f} s, "
-            f"expected at most {limit} bytes and {MAX_SECONDS:g} s"
+            f"{len(data)} bytes took {memory} bytes of memory and {seconds:.2f} s, "
+            f"expected at most {limit} bytes and {_MAX_SECONDS:g} s"
         )
     if target.read is not None:
         target.feed(data)
-    return cost
 
 
-def _measured(target: Target, data: bytes) -> Cost:
+def _measured(target: Target, data: bytes) -> tuple[int, float]:
+    """Returns the peak memory above the start [bytes] and the CPU time of all threads [s]."""
     tracemalloc.start()
     begin = time.process_time()
     try:
@@ -69,4 +55,4 @@ def _measured(target: Target, data: bytes) -> Cost:
     finally:
         seconds, peak = time.process_time() - begin, tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    return Cost(peak, seconds)
+    return peak, seconds

@@ -53,18 +53,6 @@ def test_the_same_seed_gives_the_same_race(result):
 
 
 @pytest.mark.slow
-def test_another_seed_gives_a_different_race(result):
-    other = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=4, max_steps=400)
-    assert [row.reward for row in other.agents] != [row.reward for row in result.agents]
-
-
-@pytest.mark.slow
-def test_all_karts_drive_all_laps():
-    result = run_race(["ai", "ai"], track="olivermath", laps=2, seed=1)
-    assert [row.laps for row in result.agents] == [2, 2]
-
-
-@pytest.mark.slow
 def test_a_kart_that_never_moves_does_not_hang_the_race():
     def stand(_, action_space, __):
         action = {key: space.sample() * 0 for key, space in action_space.items()}
@@ -130,8 +118,10 @@ def test_names_that_look_alike_get_numbers():
 
 def test_a_listener_gets_observations_actions_and_rewards():
     ear = Ear()
-    run_race(["heuristic", "ai@:Bot"], track="olivermath", max_steps=30, seed=2, listeners=[ear])
+    drivers = ["heuristic", "ai@:Bot"]
+    result = run_race(drivers, track="olivermath", max_steps=30, seed=2, listeners=[ear])
     last = ear.heard[-1]
+    assert {row.agent: row.reward for row in result.agents} == last.total_rewards  # D27
     assert last.names == {"kart_0": "heuristic", "kart_1": "Bot"}
     assert "paths_end" in last.observations["kart_0"]
     assert last.actions["kart_0"].keys() == {
@@ -233,15 +223,6 @@ def test_a_long_race_is_not_cut_short():
     result = run_race(["ai"], track="candela_city", laps=4, seed=1)
     assert result.steps > 1500
     assert (result.status, result.agents[0].laps) == ("finished", 4)
-
-
-@pytest.mark.slow
-def test_the_reward_is_the_sum_over_the_race():
-    """D27."""
-    ear = Ear()
-    result = run_race(["heuristic"], track="olivermath", seed=1, listeners=[ear])
-    assert result.agents[0].reward == pytest.approx(ear.heard[-1].infos["kart_0"]["episode/return"])
-    assert result.agents[0].reward != pytest.approx(ear.heard[-1].rewards["kart_0"])
 
 
 def test_the_result_matches_the_published_schema(result):

@@ -6,7 +6,6 @@ import re
 import select
 import signal
 import subprocess
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -133,30 +132,6 @@ def test_a_video_continues_after_an_interrupt_in_the_middle_of_a_frame(tmp_path,
     assert [round(float(picture.mean()), -1) for picture in pictures] == [40, 200]
 
 
-@pytest.mark.slow
-def test_a_full_disk_is_an_error_and_leaves_no_file(tmp_path):
-    code = """
-import resource, signal, sys
-import numpy as np
-from stkzoo.render.encoder import VideoError, VideoWriter
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
-noise = np.random.default_rng(0)
-try:
-    writer = VideoWriter(sys.argv[1], 10)
-    for _ in range(60):
-        writer.add(noise.integers(0, 255, (240, 320, 3), np.uint8))
-    writer.close()
-except VideoError as error:
-    print(error)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "race.avi")], capture_output=True, text=True
-    )
-    assert "No file was left" in done.stdout, done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     ("name", "match"),
     [("race.mp5", "expected one that ends with"), ("no/such/race.mp4", "there is no folder")],
@@ -237,15 +212,6 @@ def test_a_video_is_as_long_as_the_race(tmp_path):
     pictures, rate = read(path)
     assert rate == 30
     assert len(pictures) == 1 + 3 * result.steps + 30
-
-
-@pytest.mark.slow
-def test_filming_does_not_change_the_race(tmp_path):
-    video = RaceVideo(tmp_path / "race.mp4", backend="map", size=(160, 120), sub_steps=4)
-    settings = {"track": "lighthouse", "seed": 1, "max_steps": 60}
-    assert run_race(["ai", "ai"], listeners=[video], **settings) == run_race(
-        ["ai", "ai"], **settings
-    )
 
 
 def test_a_race_that_fails_leaves_no_video(tmp_path):

@@ -65,7 +65,7 @@ def arrays_of(learner):
     ("kind", "task", "actors"),
     [
         ("ippo", "solo-1", 2),
-        pytest.param("mappo", "solo-1", 1, marks=pytest.mark.matrix),
+        pytest.param("mappo", "team-2v2", 1, marks=pytest.mark.matrix),
         pytest.param("fsp", "selfplay-5", 1, marks=pytest.mark.matrix),
         pytest.param("pfsp", "team-2v2", 1, marks=pytest.mark.matrix),
     ],
@@ -85,16 +85,6 @@ def test_a_run_learns_and_resumes_bit_for_bit(tmp_path, kind, task, actors):
     whole.close(), second.close()
     assert all((one[name] == other[name]).all() for name in one)
     assert any((one[name] != before[name]).any() for name in one)
-
-
-@pytest.mark.slow
-def test_a_team_learns_with_a_central_critic(tmp_path):
-    learner = small_run(tmp_path, "mappo", task="team-2v2")
-    before = arrays_of(learner)
-    iterate(learner, 2)
-    after = arrays_of(learner)
-    learner.close()
-    assert any((after[name] != before[name]).any() for name in after)
 
 
 @pytest.mark.slow
@@ -186,6 +176,7 @@ def test_prioritized_self_play_meets_the_hardest_rivals_most_often():
             matchmaker.update("weak", 1.0)
         odds[kind] = matchmaker.odds()
     assert odds["prioritized"]["strong"] > 0.45
+    assert odds["prioritized"]["weak"] > 0
     assert sum(odds["prioritized"].values()) == pytest.approx(1)
     assert odds["fictitious"] == {"": 0.5, "strong": 0.25, "weak": 0.25}
     assert odds["none"] == {}

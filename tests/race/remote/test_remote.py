@@ -86,16 +86,6 @@ def test_inline_agents_of_a_server_have_their_own_modules(tmp_path):
 
 
 @pytest.mark.slow
-def test_servers_can_change_order_between_races(tmp_path):
-    one, two = write_agent(tmp_path, "one"), write_agent(tmp_path, "two")
-    with server_process(one) as (_, first), server_process(two) as (_, second):
-        for order in ([first, second], [second, first]):
-            with RemoteDriverGroup(order) as group:
-                result = run_race(group.drivers, max_steps=10, **TRACK)
-            assert not any(row.errors for row in result.agents)
-
-
-@pytest.mark.slow
 def test_a_server_killed_during_a_race_loses_only_its_own_karts():
     with (
         server_process("heuristic") as (process, first),
