@@ -14,7 +14,6 @@ import time
 import pytest
 
 from stkzoo.drivers import keeper
-from stkzoo.errors import AgentError
 from stkzoo.race import RaceListener, run_race
 from tests.support.paths import AGENTS
 from tests.support.processes import children_of, measured, process_exists, wait_until
@@ -144,14 +143,6 @@ def test_a_long_error_report_is_refused():
     assert len(row.errors[0].message) <= 4000
     assert len(row.errors[0].trace) <= 8000
     assert len(result.to_json()) < 50_000
-
-
-@pytest.mark.slow
-def test_raise_ends_the_race_with_the_error():
-    with pytest.raises(AgentError, match=r"driver 'once' of kart_1 failed: ZeroDivision") as caught:
-        race("ai", hostile("once"), error_handling="raise", max_steps=20)
-    assert caught.value.key == "kart_1"
-    assert 'raise ZeroDivisionError("the third")' in caught.value.trace
 
 
 @pytest.mark.slow

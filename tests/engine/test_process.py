@@ -60,10 +60,6 @@ def session(root):
     session.close()
 
 
-def test_a_session_repeats_its_first_race(session):
-    assert trajectory(session) == trajectory(session)
-
-
 @pytest.fixture
 def default_timeout():
     """Gives new sockets of the test a timeout, as programs with network connections do."""
