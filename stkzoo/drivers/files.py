@@ -37,7 +37,7 @@ _MAX_CHARACTERS = 1 << 20
 MAX_BYTES = 512 << 20
 #: Maximum numbers of files and folders of an agent in a zip, and of folders in each other. Within
 #: these limits, a processor core unpacks and removes the files in two seconds.
-MAX_FILES, MAX_FOLDERS, MAX_DEPTH = 10_000, 1000, 32
+MAX_FILES, MAX_FOLDERS, MAX_DEPTH = 4000, 500, 16
 #: Maximum length of the name of a file [bytes], which most file systems have.
 _MAX_NAME = 255
 #: Maximum compression ratio of a file above 1 MiB.
