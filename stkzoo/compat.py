@@ -3,7 +3,7 @@
 After you import this module, ``import pystk2_gymnasium``, its submodules and its environment ids
 resolve to stkzoo, even if the original package is installed. Import this module before the
 original package. All environments of the program then clip actions to their spaces and ignore
-unknown keys, as the original package does, and log this once per race.
+unknown keys, as the original package does, and log the first one of an agent in a race.
 ``docs/reference/differences.md`` lists the intended differences.
 
 >>> import stkzoo.compat

@@ -61,9 +61,8 @@ def follow_max_cycles(
     while frame is not None:
         caller = frame.f_locals.get("self")
         if isinstance(caller, TimeLimit) and caller.unwrapped is env:
-            limit = caller._saved_kwargs["max_episode_steps"]
-            is_replaced = has_max_cycles and limit == limit_of_id(env.spec)
-            is_off = is_replaced or "max_cycles" in asked
-            caller._max_episode_steps = sys.maxsize if is_off else limit
+            limit = caller._max_episode_steps
+            if "max_cycles" in asked or (has_max_cycles and limit == limit_of_id(env.spec)):
+                caller._elapsed_steps = -sys.maxsize  # of this episode
             return
         frame = frame.f_back

@@ -23,7 +23,7 @@ from stkzoo.views.split_step import AgentStep, MonoAgentEnv, SplitStep
 if TYPE_CHECKING:
     from stkzoo.wrappers.camera import Camera
 
-_FITTED = "It is clipped, and unknown keys are ignored; this is logged once in a race."
+_FITTED = "It is clipped, and unknown keys are ignored; only the first action is logged."
 logger = logging.getLogger(__name__)
 
 #: Wraps one agent's environment; ``None`` adds no wrapper.

@@ -62,6 +62,9 @@ def test_limits_of_gym_make_hold_and_are_in_the_spec(env_id, limits, expected):
         assert env.spec.max_episode_steps == expected
         assert [length(env), length(env, **of_reset(11)), length(env)] == [expected, 11, expected]
         copy = gym.make(env.spec)
+        with gym.make(env.spec) as late:
+            late.reset(**of_reset(11))
+            assert late.spec.max_episode_steps == expected
     with copy:
         assert (copy.spec.max_episode_steps, length(copy)) == (expected, expected)
 
