@@ -218,7 +218,7 @@ def shortened(value: object, limit: int = 60) -> str:
     try:
         text = re.sub(r"\s*\n\s*", " ", repr(value))
         if len(text) > limit and hasattr(value, "shape") and hasattr(value, "dtype"):
-            text = f"an array of shape {tuple(value.shape)} and dtype {value.dtype}"
+            return f"an array of shape {tuple(value.shape)} and dtype {value.dtype}"
     except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
         text = f"({type(value).__name__}: its __repr__ failed)"
     return text if len(text) <= limit else f"{text[: limit - 3]}..."
