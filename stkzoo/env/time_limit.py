@@ -63,6 +63,6 @@ def follow_max_cycles(
         if isinstance(caller, TimeLimit) and caller.unwrapped is env:
             limit = caller._max_episode_steps
             if "max_cycles" in asked or (has_max_cycles and limit == limit_of_id(env.spec)):
-                caller._elapsed_steps = -sys.maxsize  # of this episode
+                caller._elapsed_steps = -sys.maxsize  # type: ignore[assignment]
             return
         frame = frame.f_back
