@@ -4,6 +4,7 @@ import logging
 import os
 import select
 import signal
+from contextlib import ExitStack, closing
 
 import gymnasium as gym
 import numpy as np
@@ -26,8 +27,15 @@ OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 NUM_STEPS = 70  # two whole races and part of a third one
 
 
-def make(num_races=2, **options):
-    return RaceVectorEnv(num_races, **{**OPTIONS, **options})
+@pytest.fixture
+def make():
+    """Makes environments, and closes them after the test."""
+    with ExitStack() as stack:
+
+        def make(num_races=2, **options):
+            return stack.enter_context(closing(RaceVectorEnv(num_races, **OPTIONS | options)))
+
+        yield make
 
 
 def random_actions(envs, num_steps=NUM_STEPS):
@@ -90,7 +98,7 @@ def info_of(infos, slot):
 @pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
 @pytest.mark.parametrize("view", ["flattened_discrete", "simple"])
-def test_slots_equal_the_agents_of_single_races(view, prefetch):
+def test_slots_equal_the_agents_of_single_races(make, view, prefetch):
     with_all = make(view=view, prefetch=prefetch)
     actions = random_actions(with_all)
     trace = play(with_all, actions)
@@ -120,7 +128,7 @@ def test_slots_equal_the_agents_of_single_races(view, prefetch):
                     assert info_of(all_infos, slot) == result[4][agent]
 
 
-def test_with_prefetch_the_next_race_is_the_prefetched_one():
+def test_with_prefetch_the_next_race_is_the_prefetched_one(make):
     envs = make(1, prefetch=True)
     envs.reset(seed=1)
     ahead = next_pids(envs)
@@ -129,11 +137,10 @@ def test_with_prefetch_the_next_race_is_the_prefetched_one():
         envs.step(action)
     assert pids(envs) == ahead
     assert are_gone(before)
-    envs.close()
 
 
 @pytest.mark.parametrize("kind", ["state", "scenario"])
-def test_no_race_is_prefetched_for_one_that_begins_at_a_moment(kind):
+def test_no_race_is_prefetched_for_one_that_begins_at_a_moment(make, kind):
     with race_v0.parallel_env(**OPTIONS) as race:
         race.reset(seed=1)
         with race.save_state() as state:
@@ -147,7 +154,7 @@ def test_no_race_is_prefetched_for_one_that_begins_at_a_moment(kind):
             envs.close()
 
 
-def test_a_prefetched_race_that_died_is_started_again():
+def test_a_prefetched_race_that_died_is_started_again(make):
     envs = make(1, prefetch=True)
     actions = random_actions(envs)
     expected = play(envs, actions)
@@ -156,10 +163,9 @@ def test_a_prefetched_race_that_died_is_started_again():
     trace.extend(envs.step(action) for action in actions)
     assert same(trace, expected)
     assert envs.num_crashes == 0
-    envs.close()
 
 
-def test_a_seeded_reset_discards_prefetched_races():
+def test_a_seeded_reset_discards_prefetched_races(make):
     envs = make(1, prefetch=True)
     actions = random_actions(envs, 5)
     expected = play(envs, actions, seed=9)
@@ -167,10 +173,9 @@ def test_a_seeded_reset_discards_prefetched_races():
     ahead = next_pids(envs)
     assert same(play(envs, actions, seed=9), expected)
     assert are_gone(ahead)
-    envs.close()
 
 
-def test_all_races_start_a_step_before_any_is_waited_for():
+def test_all_races_start_a_step_before_any_is_waited_for(make):
     envs = make(2)
     envs.reset(seed=1)
     os.kill(pids(envs)[0], signal.SIGSTOP)
@@ -179,7 +184,6 @@ def test_all_races_start_a_step_before_any_is_waited_for():
     assert select.select([connection], [], [], 5.0)[0]
     os.kill(pids(envs)[0], signal.SIGCONT)
     assert envs.step_wait()[4]["active"].all()
-    envs.close()
 
 
 # ---------------------------------------------------------------------- seeds
@@ -187,7 +191,7 @@ def test_all_races_start_a_step_before_any_is_waited_for():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [True, False])
-def test_set_options_applies_from_the_next_race_until_it_is_changed(prefetch):
+def test_set_options_applies_from_the_next_race_until_it_is_changed(make, prefetch):
     envs = make(max_cycles=2, prefetch=prefetch)
     _, infos = envs.reset(seed=1, options={"max_cycles": 3})
     actions = envs.action_space.sample()
@@ -204,7 +208,6 @@ def test_set_options_applies_from_the_next_race_until_it_is_changed(prefetch):
     plain, changed = ["olivermath"] * 4, ["zengarden"] * 2 + ["olivermath"] * 2
     # The first race takes three steps. The second and third races have the options.
     assert tracks == [plain] * 3 + [changed] * 4 + [plain] * 3
-    envs.close()
 
 
 def test_options_of_reset_override_those_of_set_options(two_races):
@@ -251,15 +254,14 @@ def test_set_options_refuses_moments_of_other_races(two_races, tmp_path):
 
 @pytest.fixture(scope="module")
 def two_races():
-    envs = make(prefetch=False)
-    yield envs
-    envs.close()
+    with closing(RaceVectorEnv(2, **OPTIONS, prefetch=False)) as envs:
+        yield envs
 
 
 # ---------------------------------------------------------------------- ends of episodes
 
 
-def test_infos_have_the_last_observation_and_sums_of_an_episode():
+def test_infos_have_the_last_observation_and_sums_of_an_episode(make):
     envs = make()
     trace = play(envs, random_actions(envs, 30))
     _, _, ends, cuts, infos = trace[-1]
@@ -272,7 +274,6 @@ def test_infos_have_the_last_observation_and_sums_of_an_episode():
     assert all(obs in envs.single_observation_space for obs in infos["final_obs"])
     assert (infos["final_info"]["episode/length"] == 30).all()
     assert (infos["episode/length"] == 0).all()
-    envs.close()
 
 
 class Finishes:
@@ -331,7 +332,7 @@ def test_only_transitions_of_racing_agents_are_active(finishes):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
-def test_a_killed_game_is_replaced_and_the_others_continue(prefetch, caplog):
+def test_a_killed_game_is_replaced_and_the_others_continue(make, prefetch, caplog):
     envs = make(prefetch=prefetch)
     actions = random_actions(envs)
     expected = play(envs, actions)
@@ -354,10 +355,9 @@ def test_a_killed_game_is_replaced_and_the_others_continue(prefetch, caplog):
     for one, other in zip(trace, expected, strict=True):
         assert same(row(one[0], 2), row(other[0], 2))
     assert trace[-1][4]["active"].all()
-    envs.close()
 
 
-def test_the_infos_of_a_crash_have_no_rewards_of_the_step_before():
+def test_the_infos_of_a_crash_have_no_rewards_of_the_step_before(make):
     envs = make(reward={"always": lambda step: np.ones(len(step.after.karts))})
     envs.reset(seed=1)
     before = envs.step(envs.action_space.sample())[4]
@@ -367,11 +367,10 @@ def test_the_infos_of_a_crash_have_no_rewards_of_the_step_before():
     assert before["reward/always"].tolist() == [1.0] * 4
     assert last["reward/always"][:2].tolist() == rewards[:2].tolist() == [0.0, 0.0]
     assert last["episode/reward/always"][:2].tolist() == [1.0, 1.0]
-    envs.close()
 
 
 @pytest.mark.slow
-def test_a_hanging_game_is_replaced():
+def test_a_hanging_game_is_replaced(make):
     envs = make(engine_timeout=0.3)
     envs.reset(seed=1)
     os.kill(pids(envs)[1], signal.SIGSTOP)
@@ -379,20 +378,18 @@ def test_a_hanging_game_is_replaced():
     assert cuts.tolist() == [False, False, True, True]
     assert envs.num_crashes == 1
     assert envs.step(envs.action_space.sample())[4]["active"].all()
-    envs.close()
 
 
 # ---------------------------------------------------------------------- Gymnasium's API
 
 
-def test_the_random_streams_and_their_seeds_are_those_of_the_races():
+def test_the_random_streams_and_their_seeds_are_those_of_the_races(make):
     envs = make()
     assert envs.np_random_seed == (-1, -1)
     for seed in ([7, None], None):
         envs.reset(seed=seed)
         assert envs.np_random_seed == (7, -1)
         assert envs.np_random == tuple(race.np_random for race in envs.races)
-    envs.close()
 
 
 # ---------------------------------------------------------------------- errors
@@ -410,7 +407,7 @@ def test_the_random_streams_and_their_seeds_are_those_of_the_races():
         ({"prefetch": "yes"}, "prefetch is 'yes'"),
     ],
 )
-def test_invalid_options_are_refused(options, message):
+def test_invalid_options_are_refused(make, options, message):
     with pytest.raises(ConfigError, match=message):
         make(**options)
 
@@ -429,14 +426,13 @@ def test_invalid_options_of_a_reset_are_refused(two_races, options, message):
 
 @pytest.mark.parametrize("starts", [{}, {"num_starts": 2}])
 @pytest.mark.parametrize("seed", [-5, [1.5, None], [None, -1], True, [1, 2, 3]])
-def test_invalid_seeds_are_refused(seed, starts):
+def test_invalid_seeds_are_refused(make, seed, starts):
     envs = make(**starts)
     with pytest.raises(ConfigError, match=r"seed is|one per race"):
         envs.reset(seed=seed)
-    envs.close()
 
 
-def test_infos_of_wrappers_can_be_arrays_and_large_whole_numbers():
+def test_infos_of_wrappers_can_be_arrays_and_large_whole_numbers(make):
     class Marks(gym.Wrapper):
         def step(self, action):
             *parts, info = self.env.step(action)
@@ -450,19 +446,17 @@ def test_infos_of_wrappers_can_be_arrays_and_large_whole_numbers():
     assert infos["marks"].tolist() == [[1, 700 + slot] for slot in range(4)]
     assert infos["_place"].all()
     assert infos["big"].tolist() == [2**60 + 1] * 4
-    envs.close()
 
 
 @pytest.mark.parametrize("actions", [[0, 0, 0], [0, 0, 0, 0, 0], None, 3])
-def test_a_wrong_number_of_actions_is_refused(actions):
+def test_a_wrong_number_of_actions_is_refused(make, actions):
     envs = make()
     envs.reset(seed=1)
     with pytest.raises(ActionError, match="4 slots"):
         envs.step(actions)
-    envs.close()
 
 
-def test_calls_in_the_wrong_order_are_refused():
+def test_calls_in_the_wrong_order_are_refused(make):
     envs = make()
     actions = envs.action_space.sample()
     with pytest.raises(ApiOrderError, match=r"reset\(\)"):
@@ -479,16 +473,15 @@ def test_calls_in_the_wrong_order_are_refused():
             call()
 
 
-def test_reset_can_be_called_between_step_async_and_step_wait():
+def test_reset_can_be_called_between_step_async_and_step_wait(make):
     envs = make()
     actions = random_actions(envs, 5)
     expected = play(envs, actions)
     envs.step_async(actions[0])
     assert same(play(envs, actions), expected)
-    envs.close()
 
 
-def test_a_race_that_does_not_start_is_an_error(monkeypatch):
+def test_a_race_that_does_not_start_is_an_error(make, monkeypatch):
     envs = make(1, prefetch=False)
     envs.reset(seed=1)
 
@@ -503,14 +496,13 @@ def test_a_race_that_does_not_start_is_an_error(monkeypatch):
     assert envs.num_crashes == 2
     with pytest.raises(ApiOrderError, match="reset"):
         envs.step(envs.action_space.sample())
-    envs.close()
 
 
 # ---------------------------------------------------------------------- processes
 
 
 @pytest.mark.parametrize("prefetch", [False, True])
-def test_closing_leaves_no_process(prefetch):
+def test_closing_leaves_no_process(make, prefetch):
     envs = make(prefetch=prefetch)
     envs.reset(seed=1)
     everybody = [*pids(envs), *next_pids(envs)]
@@ -521,7 +513,7 @@ def test_closing_leaves_no_process(prefetch):
 
 
 def test_an_unreferenced_environment_leaves_no_process():
-    envs = make(prefetch=True)
+    envs = RaceVectorEnv(2, **OPTIONS, prefetch=True)
     envs.reset(seed=1)
     everybody = [*pids(envs), *next_pids(envs)]
     del envs

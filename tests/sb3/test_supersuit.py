@@ -10,6 +10,7 @@ from stable_baselines3 import PPO
 
 from stkzoo import race_v0
 from stkzoo.views import VIEWS
+from tests.sb3.test_vec import changed, weights
 
 OPTIONS = {"track": "olivermath", "num_kart": 3}
 LEARNING = {"n_steps": 64, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
@@ -33,14 +34,6 @@ class FlatActions(gym.ActionWrapper):
 
 def discrete_box_view(env):
     return FlattenObservation(VIEWS["flattened_discrete"](env))
-
-
-def weights(model):
-    return {name: value.clone() for name, value in model.policy.state_dict().items()}
-
-
-def changed(before, model):
-    return any((before[name] != value).any() for name, value in model.policy.state_dict().items())
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import copy
 import os
 import pickle
 import signal
+from contextlib import ExitStack, closing
 
 import gymnasium as gym
 import numpy as np
@@ -15,17 +16,23 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
-from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
+from stkzoo import AgentSpec, ConfigError, RaceVectorEnv
 from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
-from tests.support.views import agent_by_agent, marked
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 LEARNING = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
 BOTS = {"num_kart": 2, "agents": [AgentSpec(use_ai=True)] * 2, "track": "olivermath"}
 
 
-def make(num_races=2, **options):
-    return RaceVecEnv(num_races, **{**OPTIONS, **options})
+@pytest.fixture
+def make():
+    """Makes environments, and closes them after the test."""
+    with ExitStack() as stack:
+
+        def make(num_races=2, **options):
+            return stack.enter_context(closing(RaceVecEnv(num_races, **OPTIONS | options)))
+
+        yield make
 
 
 def same(one, other):
@@ -43,35 +50,23 @@ def changed(before, model):
 
 
 @pytest.mark.slow
-def test_ppo_learns_by_self_play():
-    envs = make(view="flattened_multidiscrete")
-    model = PPO("MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING)
-    before = weights(model)
-    model.learn(128)
-    assert changed(before, model)
-    assert model.num_timesteps == 128
-    assert {episode["l"] for episode in model.ep_info_buffer} == {30}
-    envs.close()
-
-
-@pytest.mark.slow
-def test_ppo_learns_from_normalized_races_although_one_crashes():
+def test_ppo_learns_from_normalized_races_although_one_crashes(make):
     envs = make()
     normalized = VecNormalize(envs, norm_obs_keys=["continuous"])
     model = PPO(
         "MultiInputPolicy", normalized, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING
     )
     model.learn(128)
+    assert {episode["l"] for episode in model.ep_info_buffer} == {30}
     os.kill(envs.races.races[0].live_race.session.pid, signal.SIGKILL)
     before = weights(model)
     model.learn(128, reset_num_timesteps=False)
     assert changed(before, model)
     assert envs.num_crashes == 1
-    envs.close()
 
 
 @pytest.mark.slow
-def test_it_returns_the_same_as_the_gymnasium_vector():
+def test_it_returns_the_same_as_the_gymnasium_vector(make):
     envs, races = make(), RaceVectorEnv(2, **OPTIONS)
     envs.seed(7)
     assert same(envs.reset(), races.reset(seed=7)[0])
@@ -82,13 +77,12 @@ def test_it_returns_the_same_as_the_gymnasium_vector():
         assert same(observations, expected[0])
         assert same(rewards, expected[1].astype(np.float32))
         assert same(done, expected[2] | expected[3])
-    envs.close()
     races.close()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
-def test_infos_describe_the_end_of_an_episode(flat):
+def test_infos_describe_the_end_of_an_episode(make, flat):
     envs = make(flat_observations=flat)
     envs.reset()
     returns = np.zeros(4)
@@ -103,7 +97,6 @@ def test_infos_describe_the_end_of_an_episode(flat):
         assert info["episode"]["l"] == 30
         assert info["episode"]["t"] > 0
     assert [info["episode/length"] for info in envs.reset_infos] == [0] * 4
-    envs.close()
 
 
 @pytest.mark.slow
@@ -130,7 +123,7 @@ def test_an_agent_that_finishes_is_done_and_then_has_empty_episodes():
 
 
 @pytest.mark.slow
-def test_flat_observations_are_those_of_gymnasium():
+def test_flat_observations_are_those_of_gymnasium(make):
     flat, plain = make(flat_observations=True), make()
     for envs in (flat, plain):
         envs.seed(3)
@@ -139,26 +132,22 @@ def test_flat_observations_are_those_of_gymnasium():
     expected = [spaces.flatten(plain.observation_space, each) for each in rows]
     assert same(batch, np.stack(expected))
     assert flat.observation_space.contains(batch[0])
-    flat.close()
-    plain.close()
 
 
-def test_each_slot_has_the_seed_of_its_race():
+def test_each_slot_has_the_seed_of_its_race(make):
     envs = make()
     assert envs.seed(4) == [4, 4, 5, 5]
-    envs.close()
 
 
-def test_a_seed_applies_to_one_reset():
+def test_a_seed_applies_to_one_reset(make):
     envs = make()
     envs.seed(4)
     first = envs.reset()
     assert not same(first, envs.reset())
-    envs.close()
 
 
 @pytest.mark.slow
-def test_options_of_the_races_persist_and_infos_name_the_track():
+def test_options_of_the_races_persist_and_infos_name_the_track(make):
     envs = make(num_races=1, max_cycles=2)
     envs.reset()
     envs.races.set_options({"track": "zengarden"})
@@ -168,10 +157,9 @@ def test_options_of_the_races_persist_and_infos_name_the_track():
         tracks.append(infos[0]["track"])
     assert tracks == ["olivermath", "olivermath", "zengarden", "zengarden"]
     assert envs.reset_infos[0]["track"] == "zengarden"
-    envs.close()
 
 
-def test_different_options_in_one_race_are_refused():
+def test_different_options_in_one_race_are_refused(make):
     envs = make()
     envs.set_options([{"track": "zengarden"}, {}, {}, {}])
     with pytest.raises(ConfigError, match="slots 0 and 1 differ"):
@@ -180,37 +168,33 @@ def test_different_options_in_one_race_are_refused():
     envs.reset()
     tracks = [race.track for race in envs.get_attr("race")]
     assert tracks == ["zengarden"] * 2 + ["olivermath"] * 2
-    envs.close()
 
 
-def test_attributes_are_those_of_the_races():
+def test_attributes_are_those_of_the_races(make):
     envs = make()
     envs.set_attr("max_cycles", 7, indices=[2, 3])
     assert envs.get_attr("max_cycles") == [30, 30, 7, 7]
     assert envs.get_attr("max_cycles", indices=3) == [7]
     assert not envs.has_attr("no_such_thing")
-    envs.close()
 
 
-def test_a_method_is_called_once_for_each_race():
+def test_a_method_is_called_once_for_each_race(make):
     envs = make()
     calls = []
     for number, race in enumerate(envs.races.races):
         race.note = lambda word, number=number: calls.append((number, word)) or number
     assert envs.env_method("note", "hello") == [0, 0, 1, 1]
     assert calls == [(0, "hello"), (1, "hello")]
-    envs.close()
 
 
-def test_it_counts_as_monitored_and_not_otherwise_wrapped():
+def test_it_counts_as_monitored_and_not_otherwise_wrapped(make):
     envs = make()
     assert envs.env_is_wrapped(Monitor) == [True] * 4
     assert envs.env_is_wrapped(gym.wrappers.TimeLimit, indices=[0]) == [False]
-    envs.close()
 
 
 @pytest.mark.parametrize("view", ["simple", "flattened"])
-def test_a_view_with_dict_actions_is_refused(view):
+def test_a_view_with_dict_actions_is_refused(make, view):
     with pytest.raises(ConfigError, match="flattened_discrete"):
         make(view=view)
 
@@ -231,64 +215,7 @@ def test_idle_steps_of_races_are_not_learned_from():
     envs.close()
 
 
-# ---------------------------------------------------------------------- infos
-
-
-def play_both(envs, num_steps):
-    """Returns the results of some steps; infos are dicts without the elapsed time."""
-    envs.seed(1)
-    envs.action_space.seed(5)
-    trace = [(envs.reset(), [dict(info) for info in envs.reset_infos])]
-    for _ in range(num_steps):
-        actions = np.array([envs.action_space.sample() for _ in range(envs.num_envs)])
-        observations, rewards, done, infos = envs.step(actions)
-        infos = [dict(info) for info in infos]
-        for info in infos:
-            if "episode" in info:
-                info["episode"] = {key: info["episode"][key] for key in "rl"}
-        first = [dict(info) for info in envs.reset_infos]
-        trace.append((observations, rewards, done, infos, first))
-    envs.close()
-    return trace
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("view", "flat"),
-    marked(
-        [
-            (view, flat)
-            for view in ("racing", "masked_discrete", "flattened_multidiscrete")
-            for flat in (False, True)
-        ],
-        kept=[("racing", False), ("flattened_multidiscrete", True)],
-    ),
-)
-def test_it_returns_what_single_agents_get(view, flat, monkeypatch):
-    starts = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
-    options = {"track": "lighthouse", "max_cycles": 9, "start": starts, "view": view}
-    with_rows = play_both(make(**options, flat_observations=flat), 22)
-    agent_by_agent(monkeypatch)
-    single = play_both(make(**options, flat_observations=flat), 22)
-    assert identical(with_rows, single)
-    active = [info["active"] for step in with_rows[1:] for info in step[3]]
-    assert 0 < sum(active) < len(active)
-
-
-def identical(one, other):
-    """Returns whether two results are equal in types and bit for bit."""
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, dict):
-        return list(one) == list(other) and all(identical(one[key], other[key]) for key in one)
-    if isinstance(one, (list, tuple)):
-        return len(one) == len(other) and all(map(identical, one, other))
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
-    return one == other
-
-
-def test_the_info_of_a_slot_is_a_mapping():
+def test_the_info_of_a_slot_is_a_mapping(make):
     envs = make(max_cycles=3)
     envs.reset()
     info = envs.step(np.full(4, 700))[3][3]
@@ -306,4 +233,3 @@ def test_the_info_of_a_slot_is_a_mapping():
     assert pickle.loads(pickle.dumps(info)) == copy.deepcopy(info) == values
     envs.step(np.full(4, 700))
     assert info.copy() == values
-    envs.close()
