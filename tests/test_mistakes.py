@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import gymnasium
@@ -36,7 +37,6 @@ COMMANDS = [
     ("suite list versos", "Did you mean 'versus'?"),
     ("race ai --laps two", "argument --laps: invalid int value: 'two'"),
     ("race ai ai --num-karts 1", "--num-karts is 1, but 2 drivers are named"),
-    ("race ai --action-timeout -1", "action_timeout is -1.0, expected a number of seconds above 0"),
     ("race ai --error-handling ignore", "invalid choice: 'ignore'"),
     ("race --demo ai", "leave out --demo or the drivers"),
     ("race ai --cameras 2", "--cameras does nothing without --video; give both"),
@@ -61,7 +61,6 @@ COMMANDS = [
     ("race-client --servers none.txt", "the list of servers none.txt cannot be read"),
     ("race-client --server 127.0.0.1:1 --connect-timeout 0.1", "start it, or check its address"),
     ("race ai --web --web-port {port}", "choose another port (0 takes a free one)"),
-    ("race ai:4", "expected ai:0, ai:1, ai:2, ai:3"),
     ("race ai@:", "has no name after @:; write one or leave it out"),
     (
         "race {here}/args",
@@ -82,7 +81,6 @@ COMMANDS = [
     ),
     ("report none", "none/plan.json has no tournament plan (No such file or directory)"),
     ("benchmark", "no agent; name one, such as heuristic"),
-    ("benchmark ai --forms PXA", "race form 'PXA' is unknown; expected P for each kart"),
     ("benchmark --compare none", "expected the --output of `stkzoo benchmark`"),
     (
         "benchmark --compare none --track hacienda --seeds 7 --jobs 2 --sandbox off",
@@ -90,9 +88,7 @@ COMMANDS = [
     ),
     ("benchmark --compare rated", "choose the file or folder of a benchmark"),
     ("demos ai --output demos.csv", "expected a path that ends in .safetensors"),
-    ("play --rate 7", "rate is 7, expected one of 10, 12, 15, 20, 30, 60"),
     ("league", "the following arguments are required: --output"),
-    ("assets install --from none.tar.xz", "there is no file 'none.tar.xz'"),
 ]
 
 
@@ -215,35 +211,18 @@ CALLS = [
     (lambda: make(num_kart=0), "num_kart is 0, expected a whole number from 1 to 256"),
     (lambda: make(num_kart="3"), "num_kart is '3', expected a whole number"),
     (lambda: make(num_kart=2, num_karts=2), "give one of them"),
-    (lambda: make(num_agents=2), "unexpected keyword argument 'num_agents'"),
-    (lambda: make(track=3), "track is 3, expected a name, names or None"),
-    (lambda: make(view="simpel"), "Did you mean 'simple'?"),
-    (lambda: make(view=("simple", {"state_itms": 3})), "Did you mean 'state_items'?"),
-    (lambda: make(reward="racee"), "Did you mean 'race'?"),
-    (lambda: make(reward={"progres": 1.0}), "unknown reward term 'progres'. Known: advance"),
-    (lambda: make(opponents="heuristik"), "expected a list such as ['pretrained:ace', 'ai:3']"),
-    (lambda: make(agents=5, num_kart=3), "raise num_kart or drop agents"),
-    (lambda: make(agents=[{"nam": "Ada"}]), "Did you mean 'name'?"),
     (lambda: make(reverse="yes"), "reverse is 'yes', expected True, False or None"),
-    (lambda: make().step({}), "reset"),
-    (lambda: make().reset(seed=1.5), "seed is 1.5, expected a whole number of 0 or more"),
-    (lambda: make().action_space("Kart_0"), "Did you mean 'kart_0'?"),
     (lambda: run_race(["none/agent.zip"]), "there is no agent 'none/agent.zip'; expected a folder"),
     (lambda: make().reset(options={"num_kart": 5}), "make another environment"),
     (lambda: make().reset(options="lighthouse"), "expected a dict from names of options"),
-    (lambda: gymnasium.make("supertuxkart/simple-v0", trak="x"), "Did you mean 'track'?"),
     (lambda: stkzoo.make_stkrace_vec(1, env_kwarg={}), "Did you mean 'env_kwargs'?"),
     (lambda: stkzoo.register_view("my view", "simple"), "letters, digits and underscores"),
-    (lambda: stkzoo.register_view("simple", "full"), "choose another name"),
     (lambda: stkzoo.RaceVectorEnv("two"), "num_races is 'two'"),
-    (lambda: stkzoo.RaceVectorEnv(1, view="full"), "choose view="),
     (lambda: make(track="agents"), "unknown track 'agents'. Choose a name from the list:"),
     (lambda: make(track="LightHouse"), "Did you mean 'lighthouse'?"),
     (lambda: make(track=b"lighthouse"), "track is b'lighthouse', expected a name"),
     (lambda: make(view="supertuxkart/simple-v0"), "Did you mean 'simple'?"),
-    (lambda: make(view=3), "view is 3, expected a name in stkzoo.views(), a function"),
     (lambda: make(max_steps=3), "unexpected keyword argument 'max_steps'."),
-    (lambda: make(kart="tux"), "unexpected keyword argument 'kart'. Did you mean 'num_kart'?"),
     (lambda: make(agents=[{1: 2}]), "unknown field 1 of agent 0. Known: camera_mode"),
     (lambda: make(view=("simple", {1: 2})), "unknown option 1 of the simple view. Known:"),
     (lambda: make(view={5: "simple"}), "unknown agent 5. Known: kart_0, kart_1, kart_2."),
@@ -259,13 +238,10 @@ CALLS = [
     (lambda: start(view=lambda _: gymnasium.make("CartPole-v1")), "wrap the one that it gets"),
     (lambda: make().reset(options={1: 2}), "unknown option 1. Choose a name from the list:"),
     (lambda: make().reset(options={"agents": 1}), "unknown option 'agents'. Choose a name"),
-    (lambda: make().observe(["kart_7"]), "unknown agent 'kart_7'. Known: kart_0, kart_1, kart_2."),
     (lambda: make().action_space(["kart_0"]), "unknown agent ['kart_0']. Did you mean 'kart_0'?"),
     (lambda: make().follow(None), "other is None, expected an environment of one race"),
     (lambda: setattr(make(), "options", {"laps": 2}), "{'laps': 2}, expected RaceOptions"),
     (lambda: stkzoo.make_stkrace_vec(1, env_kwargs=3), "env_kwargs is 3, expected a dict"),
-    (lambda: stkzoo.RaceVectorEnv(1, num_kart=2, view={0: "racing"}), "the same view"),
-    (lambda: stkzoo.unregister_view("mine"), "unknown registered view 'mine'. Known: none."),
     (lambda: find_driver(None), "a driver is None, expected a name such as 'ai' or a path"),
     (lambda: run_race([3]), "a driver is 3, expected a name such as 'ai' or a path"),
     (lambda: run_tournament(None, output="x"), "agents is None, expected a list"),
@@ -288,15 +264,11 @@ def test_a_mistake_in_python_is_explained(call, expected):
 
 ACTIONS = [
     ({}, "kart_0"),
-    ({"kart_0": 10**6}, "1000000"),
-    ({"kart_0": np.zeros(2)}, "kart_0"),
-    ({"kart_0": "left"}, "is 'left'; expected"),
     ({"kart_9": 0}, "no action for agent 'kart_0'; actions came for 'kart_9'"),
     ({9: 0}, "no action for agent 'kart_0'; actions came for 9"),
     ({None: 0}, "no action for agent 'kart_0'; actions came for None"),
     ([0], "[0]; expected a dict with an action for each of 'kart_0'"),
     ({"kart_0": np.zeros((99, 99))}, "is an array of shape (99, 99) and dtype float64; expected"),
-    ({"kart_0": np.zeros(50)}, "an array of shape (50,) and dtype float64; expected"),
     ({"kart_0": print}, "is <built-in function print>; expected"),
 ]
 
@@ -365,12 +337,9 @@ def parallel(action):
 
 
 def in_turns(action):
-    env = race_v0.env(num_kart=1, track="lighthouse", view=VIEW)
-    env.reset(seed=0)
-    try:
+    with closing(race_v0.env(num_kart=1, track="lighthouse", view=VIEW)) as env:
+        env.reset(seed=0)
         env.step(action)
-    finally:
-        env.close()
 
 
 def single(action):
@@ -380,12 +349,9 @@ def single(action):
 
 
 def batch(action):
-    envs = stkzoo.RaceVectorEnv(1, num_kart=1, track="lighthouse", view=VIEW)
-    envs.reset(seed=0)
-    try:
+    with closing(stkzoo.RaceVectorEnv(1, num_kart=1, track="lighthouse", view=VIEW)) as envs:
+        envs.reset(seed=0)
         envs.step([action])
-    finally:
-        envs.close()
 
 
 def policy(action):
@@ -436,34 +402,6 @@ def drive(env):
     env.step({"kart_0": env.action_space("kart_0").sample()})
 
 
-class Results(gymnasium.Wrapper):
-    """Changes what ``reset`` and ``step`` return.
-
-    Args:
-        env: the environment.
-        change: method, and number of the part to replace; ``None`` replaces the whole result.
-        value: what replaces it.
-    """
-
-    def __init__(self, env, change, value):
-        super().__init__(env)
-        self.change, self.value = change, value
-
-    def changed(self, method, result):
-        name, part = self.change
-        if name != method:
-            return result
-        if part is None:
-            return self.value
-        return tuple(self.value if n == part else old for n, old in enumerate(result))
-
-    def reset(self, **options):
-        return self.changed("reset", self.env.reset(**options))
-
-    def step(self, action):
-        return self.changed("step", self.env.step(action))
-
-
 RESULTS = [
     ("reset", None, None, "they returned None, expected (observation, info)"),
     ("reset", 0, None, "they returned None as observation"),
@@ -481,9 +419,12 @@ RESULTS = [
 
 @pytest.mark.parametrize(("method", "part", "value", "expected"), RESULTS, ids=repr)
 def test_what_a_wrapper_returns_is_checked(method, part, value, expected):
-    def view(env):
-        return Results(env, (method, part), value)
+    def changed(self, *args, **options):
+        result = getattr(self.env, method)(*args, **options)
+        parts = (value if number == part else old for number, old in enumerate(result))
+        return value if part is None else tuple(parts)
 
+    view = type("Changed", (gymnasium.Wrapper,), {method: changed})
     with make(num_kart=1, track="lighthouse", view=view) as env:
         with pytest.raises(AgentException) as caught:
             drive(env)

@@ -1,7 +1,6 @@
 """Code for pystk2-gymnasium runs on stkzoo. Each case runs in its own interpreter."""
 
 import importlib.util
-import json
 import subprocess
 import sys
 import textwrap
@@ -59,47 +58,6 @@ def on_stkzoo(runner):
 
 def on_reference(code):
     return run_python(textwrap.dedent(code))
-
-
-LINES = [
-    "from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv, STKRaceEnv, Phase",
-    "from pystk2_gymnasium import AgentSpec",
-    "from pystk2_gymnasium.definitions import CameraMode, AgentSpec",
-    "from pystk2_gymnasium.definitions import ActionObservationWrapper, AgentException",
-    "from pystk2_gymnasium.stk_wrappers import ConstantSizedObservations, PolarObservations",
-    "from pystk2_gymnasium.stk_wrappers import DiscreteActionsWrapper",
-    "from pystk2_gymnasium.stk_wrappers import OnlyContinuousActionsWrapper",
-    "from pystk2_gymnasium.wrappers import FlattenerWrapper, SpaceFlattener",
-    "from pystk2_gymnasium.wrappers import MonoAgentWrapperAdapter",
-    "from pystk2_gymnasium.wrappers import FlattenMultiDiscreteActions",
-    "from pystk2_gymnasium.utils import rotate, rotate_batch, Discretizer, max_enum_value",
-    "from pystk2_gymnasium.vecenv import make_stkrace_vec",
-    "from pystk2_gymnasium import make_stkrace_vec, MonoAgentWrapperAdapter, FlattenerWrapper",
-    "from pystk2_gymnasium.envs import BaseSTKRaceEnv, STKAction, max_enum_value, rotate",
-    "from pystk2_gymnasium.stk_wrappers import STKAction, STKDiscreteAction, Discretizer",
-    "from pystk2_gymnasium.wrappers import ActionObservationWrapper, AgentException",
-]
-
-
-@pytest.fixture(scope="module")
-def packages_of_names():
-    """Returns, for each line, the top-level packages that define its names."""
-    code = f"""
-import json
-packages = {{}}
-for line in {LINES!r}:
-    names = {{}}
-    exec(line, names)
-    del names["__builtins__"]
-    packages[line] = sorted({{value.__module__.split(".")[0] for value in names.values()}})
-print(json.dumps(packages))
-"""
-    return json.loads(run_python(TAKE_OVER + code))
-
-
-@pytest.mark.parametrize("line", LINES)
-def test_an_import_line_resolves_to_stkzoo(packages_of_names, line):
-    assert packages_of_names[line] == ["stkzoo"]
 
 
 OWNERS = """
@@ -175,48 +133,6 @@ def test_a_missing_reference_is_replaced_by_importing_compat():
     print(STKRaceEnv.__module__)
     """
     assert on_reference(code) == "stkzoo.env.gymnasium_api"
-
-
-def test_a_race_of_several_agents_runs(on_stkzoo):
-    code = """
-    from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv
-
-    agents = [AgentSpec(use_ai=False, name="Alpha"), AgentSpec(use_ai=False, name="Beta")]
-    env = STKRaceMultiEnv(agents=agents, track="lighthouse", num_kart=4, laps=1, difficulty=0,
-                          render_mode=None, max_paths=5, use_subprocess=False)
-    observations, info = env.reset(seed=42)
-    for _ in range(30):
-        observations, reward, terminated, truncated, info = env.step(
-            {"0": action(), "1": action(0.5)}
-        )
-    print(sorted(observations), terminated, truncated, len(env.kart_indices))
-    print(sorted(info["infos"]["0"])[:1], sorted(info["reward"]), sorted(info["terminated"]))
-    print(len(observations["0"]["paths_start"]))
-    env.close()
-    """
-    assert on_stkzoo(code).splitlines() == [
-        "['0', '1'] False False 2",
-        "['distance'] ['0', '1'] ['0', '1']",
-        "5",
-    ]
-
-
-def test_fields_of_a_spec_can_be_set_after_construction(on_stkzoo):
-    code = """
-    from pystk2_gymnasium.definitions import AgentSpec, CameraMode
-
-    agents = [AgentSpec(), AgentSpec()]
-    for place, spec in enumerate(agents):
-        spec.rank_start = place
-        spec.name = f"agent {place}"
-        spec.camera_mode = CameraMode.ON
-        spec.kart = "sara_the_racer"
-    env = gym.make("supertuxkart/multi-full-v0", agents=agents, num_kart=2, track="lighthouse")
-    observations, _ = env.reset(seed=1)
-    print(env.unwrapped.kart_indices, observations["1"]["kart_type"])
-    env.close()
-    """
-    assert on_stkzoo(code) == "[0, 1] sara_the_racer"
 
 
 def test_the_race_can_be_read_from_the_unwrapped_environment(on_stkzoo):
@@ -360,20 +276,6 @@ def test_the_world_has_what_adapters_of_the_reference_read(on_stkzoo):
         "sara_the_racer tux acceleration",
         "True",
     ]
-
-
-def test_vector_environments_can_be_made(on_stkzoo):
-    code = """
-    from pystk2_gymnasium import make_stkrace_vec
-
-    env = make_stkrace_vec(num_envs=2, env_id="supertuxkart/simple-v0",
-                           env_kwargs={"track": "lighthouse", "num_kart": 2})
-    env.reset(seed=1)
-    _, rewards, *_ = env.step(env.action_space.sample())
-    print(rewards.shape)
-    env.close()
-    """
-    assert on_stkzoo(code) == "(2,)"
 
 
 UTILITIES = """

@@ -19,8 +19,9 @@ from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.mdp.transition import Transition
 from stkzoo.wrappers import Discretizer
-from tests.support.generic_env import moment_of, observe_full
+from tests.support.generic_env import Counter, moment_of, observe_full
 from tests.support.paths import ROOT
+from tests.support.playing import kart_action
 from tests.support.views import EACH_ID, marked
 
 MULTI_ID = "supertuxkart/multi-full-v0"
@@ -29,21 +30,9 @@ SHORT_TRACK = "lighthouse"
 UNTIL_MOVING = 45
 
 
-def action(throttle=0.0, steer=0.0):
-    return {
-        "acceleration": np.array([throttle], np.float32),
-        "steer": np.array([steer], np.float32),
-        "brake": 0,
-        "drift": 0,
-        "fire": 0,
-        "nitro": 0,
-        "rescue": 0,
-    }
-
-
 def idle(env):
     """Returns actions that do nothing."""
-    return {agent: action() for agent in env.agents}
+    return {agent: kart_action() for agent in env.agents}
 
 
 def specs(kinds):
@@ -91,7 +80,7 @@ def test_d01_actions_reach_the_kart_of_their_agent(kinds):
             start = env.snapshot.karts["location"].copy()
             driver = players[seed % len(players)]
             for _ in range(UNTIL_MOVING):
-                env.step(idle(env) | {driver: action(throttle=1.0)})
+                env.step(idle(env) | {driver: kart_action(throttle=1.0)})
             driven = np.linalg.norm(env.snapshot.karts["location"] - start, axis=1)
             by_agent = dict(
                 zip(env.possible_agents, driven[list(env.race.kart_indices)], strict=True)
@@ -109,7 +98,7 @@ def test_d01_actions_reach_the_right_kart_when_agents_have_different_views():
             still = np.array([0.0, 0.0], np.float32)
             for _ in range(UNTIL_MOVING):
                 straight = 3 * 5 * 2**5  # the middle of 7 steering angles
-                env.step({"kart_0": straight, "kart_1": action(1.0), "kart_2": still})
+                env.step({"kart_0": straight, "kart_1": kart_action(1.0), "kart_2": still})
             driven = np.linalg.norm(env.snapshot.karts["location"] - start, axis=1)
             assert np.argmax(driven) == env.race.kart_indices[1]
 
@@ -285,23 +274,6 @@ def test_d12_the_dict_of_agents_needs_no_arguments():
 # ------------------------------------------------------------------------------------ D14
 
 
-class CountedSteps(gym.ObservationWrapper):
-    """Counts the observations since the last reset."""
-
-    def __init__(self, env):
-        super().__init__(env)
-        self.observation_space = gym.spaces.Discrete(1000)
-        self.count = 0
-
-    def reset(self, **kwargs):
-        self.count = 0
-        return super().reset(**kwargs)
-
-    def observation(self, _):
-        self.count += 1
-        return self.count
-
-
 class TenfoldReward(gym.RewardWrapper):
     """Multiplies the reward by ten."""
 
@@ -319,10 +291,10 @@ def dict_race():
 
 @pytest.mark.parametrize("make", [parallel_race, dict_race])
 def test_d14_stateful_wrappers_reset_with_the_race(make):
-    env = MonoAgentWrapperAdapter(make(), wrapper_factories={"0": CountedSteps})
+    env = MonoAgentWrapperAdapter(make(), wrapper_factories={"0": Counter})
     agents = list(env.reset(seed=0)[0])
     for _ in range(3):
-        observations, *_ = env.step({agent: action() for agent in agents})
+        observations, *_ = env.step({agent: kart_action() for agent in agents})
     assert observations[agents[0]] == 4
     assert env.reset(seed=0)[0][agents[0]] == 1
     env.close()
@@ -332,7 +304,7 @@ def test_d14_stateful_wrappers_reset_with_the_race(make):
 def test_d14_reward_wrappers_change_their_agents_reward(make):
     def rewards(env):
         agents = list(env.reset(seed=0)[0])
-        _, reward, _, _, info = env.step({agent: action() for agent in agents})
+        _, reward, _, _, info = env.step({agent: kart_action() for agent in agents})
         env.close()
         return list(info.get("reward", reward).values())
 
@@ -518,7 +490,6 @@ def test_d18_no_space_is_shared_between_environments(env_id):
 # ------------------------------------------------------------------------- invalid arguments
 
 BAD_ARGUMENTS = [
-    ({"track": "battleisland"}, "unknown track 'battleisland'"),
     ({"track": {"lighthouse": 1}}, "track is"),
     ({"num_kart": 10**6}, "num_kart is 1000000"),
     ({"difficulty": 9}, "difficulty is 9, expected a whole number from 0 to 3"),
@@ -526,11 +497,9 @@ BAD_ARGUMENTS = [
     ({"step_size": float("nan")}, "step_size is nan"),
     ({"max_cycles": 10.5}, "max_cycles is 10.5"),
     ({"max_paths": "all"}, "max_paths is 'all'"),
-    ({"render_mode": "rgb_arrays"}, "render_mode is 'rgb_arrays'"),
     ({"graphics_config": "ultra"}, "unknown graphics_config 'ultra'"),
     ({"engine_timeout": float("nan")}, "engine_timeout is nan"),
     ({"view": {"kart_9": "full"}}, "kart_9"),
-    ({"view": {"kart_0": "nothing"}}, "unknown view 'nothing'"),
     ({"reward": "placment"}, "Did you mean 'placement'"),
     ({"reward": {"drift": 1.0}}, "unknown reward term 'drift'"),
     ({"reward": {"time": float("nan")}}, "'time' is nan"),
@@ -541,6 +510,10 @@ BAD_ARGUMENTS = [
     ({"agents": [AgentSpec(kart="gnuu")]}, "Did you mean 'gnu'"),
     ({"agents": [AgentSpec(color=float("nan"))]}, "color of agent 0 is nan"),
     ({"agents": [AgentSpec(camera_mode="BEHIND")]}, "camera_mode is 'BEHIND'"),
+    ({"end_when_stuck": 0}, "end_when_stuck is 0, expected"),
+    ({"end_off_road": float("nan")}, "end_off_road is nan, expected"),
+    ({"end_when_first_finishes": 1.5}, "end_when_first_finishes is 1.5, expected"),
+    ({"events": 1}, "events is 1, expected"),
 ]
 
 
@@ -552,11 +525,6 @@ def test_an_invalid_argument_is_refused(arguments, message):
         race_v0.parallel_env(**arguments)
 
 
-def test_an_invalid_agent_of_the_single_form_is_refused():
-    with pytest.raises(ConfigError, match="agent is 'me', expected an AgentSpec"):
-        stkzoo.STKRaceEnv(agent="me")
-
-
 BAD_OPTIONS = [
     ({"track": "nowhere"}, "unknown track 'nowhere'"),
     ({"track": []}, "empty list"),
@@ -566,8 +534,6 @@ BAD_OPTIONS = [
     ({"max_cycles": 0}, "max_cycles is 0"),
     ({"max_paths": -1}, "max_paths is -1"),
     ({"reverse": 1}, "reverse is 1"),
-    ({"num_kart": 4}, "make another environment"),
-    ("lighthouse", "options"),
 ]
 
 
@@ -604,9 +570,9 @@ def test_d28_x_points_to_the_right():
     with race_v0.parallel_env(num_kart=1, track=SHORT_TRACK, view="full") as env:
         env.reset(seed=1)
         for _ in range(UNTIL_MOVING):
-            before = env.step({"kart_0": action(1.0)})[0]["kart_0"]
+            before = env.step({"kart_0": kart_action(1.0)})[0]["kart_0"]
         for _ in range(8):
-            after = env.step({"kart_0": action(1.0, 1.0)})[0]["kart_0"]
+            after = env.step({"kart_0": kart_action(1.0, 1.0)})[0]["kart_0"]
         ahead = max(range(5), key=lambda number: before["paths_end"][number][2])
         gone = before["paths_distance"][ahead], [row[0] for row in after["paths_distance"]]
         same_node = gone[1].index(gone[0][0])

@@ -66,18 +66,6 @@ def test_agent_specs_may_be_changed_until_the_next_reset():
             env.reset()
 
 
-def test_without_a_choice_each_reset_draws_a_direction():
-    def draw_direction(reverse, seed):
-        options, random = RaceOptions(num_kart=2, reverse=reverse), np.random.default_rng(seed)
-        return draw_race(options, [AgentSpec()], ["lighthouse"], 0, False, random)[0]
-
-    drawn = [draw_direction(None, seed).reverse for seed in range(40)]
-    assert 10 < sum(drawn) < 30
-    assert drawn == [draw_direction(None, seed).reverse for seed in range(40)]
-    one, other = (draw_direction(reverse, 5) for reverse in (False, True))
-    assert (one.seed, one.reverse, other.reverse) == (other.seed, False, True)
-
-
 def test_the_direction_of_a_race_is_reported():
     with race_v0.parallel_env(num_kart=2, track="lighthouse", reverse=None, max_paths=1) as env:
         env.reset(seed=1)

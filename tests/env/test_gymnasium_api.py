@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import stkzoo
@@ -66,38 +65,6 @@ def test_check_env_passes_without_other_warnings(env_id):
 def test_sb3_check_env_passes_without_other_warnings(env_id):
     with gym.make(env_id, **OPTIONS) as env:
         sb3_check_env(env)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", IDS)
-def test_a_whole_race_passes_the_passive_checker(env_id):
-    with gym.make(env_id, **OPTIONS, max_episode_steps=60) as env:
-        observation, _ = env.reset(seed=1)
-        is_over = False
-        while not is_over:
-            assert observation in env.observation_space
-            observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
-            is_over = terminated or truncated
-        assert observation in env.observation_space
-
-
-def test_the_episode_is_truncated_after_1500_steps():
-    for env_id in ("supertuxkart/simple-v0", "supertuxkart/multi-full-v0"):
-        assert gym.spec(env_id).max_episode_steps == 1500
-
-
-@pytest.mark.slow
-def test_sync_and_async_vectors_drive_the_same_races():
-    make = [lambda: gym.make(DISCRETE, **OPTIONS)] * 2
-    results = []
-    for kind in (SyncVectorEnv, AsyncVectorEnv):
-        envs = kind(make)
-        record = [envs.reset(seed=11)]
-        actions = np.random.default_rng(1).integers(0, 7, (40, 2))
-        record.extend(envs.step(action) for action in actions)
-        results.append(fingerprint(record))
-        envs.close()
-    assert results[0] == results[1]
 
 
 def test_seeds_and_the_random_generator_of_an_id_are_those_of_the_race():

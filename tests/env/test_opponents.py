@@ -182,15 +182,6 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
         assert made[-1].count == 7
 
 
-@pytest.mark.slow
-def test_views_of_few_groups_of_opponents_are_kept():
-    pool = OpponentPool({"pursuit": 1, "ai": 1})
-    with race_v0.parallel_env(**RACE, num_kart=7, opponents=pool) as env:
-        for seed in range(20):
-            env.reset(seed=seed)
-        assert env.live_race.opponents._chains_of_views.cache_info().currsize == 16
-
-
 def test_policies_of_opponents_get_no_images():
     with (
         against([forward], view=("camera", {"backend": "map"})) as env,

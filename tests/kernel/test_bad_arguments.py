@@ -121,20 +121,6 @@ def stepper_arguments():
     return functions, world, actions, CONTROLS, {"go": 2}, 3, (1,)
 
 
-#: Methods that write into the caller's arrays.
-ROWS = {
-    "ActionReader": "read",
-    "KartObserver": "observe_into",
-    "StepScorer": "score_into infos_into",
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ROWS)
-def test_races_call_the_methods_that_write_into_arrays(cases, name):
-    assert {*ROWS[name].split()} <= {method for _, _, method, _ in cases[name]}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", marked(NAMES, ["ActionReader", "KartObserver"]))
 def test_bad_arguments_are_accepted_or_refused(cases, name):

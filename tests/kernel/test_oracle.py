@@ -421,16 +421,3 @@ def test_the_order_ahead_is_the_same_on_any_graph(successors):
 )
 def test_joined_rows_match_the_oracle(parts):
     assert join_rows(parts) == oracle.join_rows(parts)
-
-
-def test_custom_wrappers_and_terms_work_without_the_kernel():
-    class Mine(PolarObservations):
-        pass
-
-    env = race_v0.parallel_env(
-        num_kart=2, track="lighthouse", view={0: Mine}, reward={"mine": lambda step: step.distance}
-    )
-    env.reset(seed=0)
-    env.step({a: env.action_space(a).sample() for a in env.agents})
-    assert env.live_race.chains._latest_roster.walked == ("kart_0",)
-    env.close()

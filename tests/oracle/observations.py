@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
-from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT, as_actions
+from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -139,11 +139,6 @@ def own_state(records: Any) -> Batch:
     choices = {key: records[field].astype(np.int64) for key, field in _CHOICES.items()}
     choices["powerup_count"] = np.minimum(choices["powerup_count"], POWERUP_COUNT_LIMIT)
     return numbers | choices
-
-
-def ai_actions(snapshot: Snapshot, karts: IntArray) -> Batch:
-    """Returns the actions that the game's AI chose for the given karts, as a batch."""
-    return as_actions(snapshot.karts["control"][karts])
 
 
 def _center_path(ends: FloatArray) -> Batch:

@@ -18,19 +18,13 @@ from stkzoo import race_v0
 from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_policy
 from stkzoo.agents.training.common.matches import MatchRecord
-from stkzoo.agents.training.common.run_folder import (
-    read_run_file,
-)
+from stkzoo.agents.training.common.run_folder import read_run_file
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import LeagueArguments, _LeagueState
 from stkzoo.agents.training.league.players import new_players
 from stkzoo.engine.assets.tree import MARKER, read_marker
 from stkzoo.env.scenario import Scenario
-from stkzoo.evaluation import (
-    load_demonstrations,
-    plan_benchmark,
-    plan_tournament,
-)
+from stkzoo.evaluation import load_demonstrations, plan_benchmark, plan_tournament
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, race_outcomes
 from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
@@ -126,8 +120,6 @@ def _document(kind: type[Document], valid: Callable[[], Document]) -> FileKind:
 @cache
 def _race() -> tuple[RaceResult, MapFilm, bytes, bytes]:
     """Returns the result, film, replay and demonstrations of a race."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         film, demos = FilmRecorder(), DemoRecorder(1, DemoView("racing"), 1, 0)
@@ -330,8 +322,6 @@ def _facts_text() -> str:
 
 @cache
 def _key_texts() -> tuple[str, str]:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         secret, public = new_key_files("a", Path(folder))
         return secret.read_text(), public.read_text()

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from gymnasium import spaces
 
+from stkzoo.mdp.spaces import action_of
+
 PARTS = ("observations", "rewards", "terminations", "truncations", "infos")
 
 
@@ -48,6 +50,11 @@ class RandomPolicy:
     def __call__(self, step):
         agents = self._spaces if self._with_departed else step.agents
         return {agent: self._spaces[agent].sample() for agent in agents}
+
+
+def kart_action(throttle=0.0, steer=0.0, **buttons):
+    """Returns an action of the ``full`` view. Buttons are released unless they are given."""
+    return action_of(np.array([throttle, steer, 0, 0, 0, 0, 0], np.float32)) | buttons
 
 
 def play(env, seed, *, max_steps=None, policy=None, options=None):

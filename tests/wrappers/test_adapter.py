@@ -11,11 +11,7 @@ from pettingzoo.test import parallel_api_test
 
 from stkzoo import STKRaceMultiEnv, race_v0
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers import (
-    ConstantSizedObservations,
-    MonoAgentWrapperAdapter,
-    PolarObservations,
-)
+from stkzoo.wrappers import ConstantSizedObservations, MonoAgentWrapperAdapter, PolarObservations
 from tests.support.generic_env import (
     Counter,
     MultiEnv,
@@ -133,18 +129,6 @@ def test_an_agent_that_is_named_twice_is_refused(form):
     make, agents = form
     with pytest.raises(ConfigError, match="named twice"):
         MonoAgentWrapperAdapter(make(), wrapper_factories={agents[0]: simple, 0: discrete})
-
-
-@pytest.mark.parametrize(
-    ("view", "message"),
-    [
-        (3, "view is 3, expected a name"),
-        (("simple", {"state_itmes": 3}), "Did you mean 'state_items'"),
-    ],
-)
-def test_an_invalid_view_is_refused(form, view, message):
-    with pytest.raises(ConfigError, match=message):
-        MonoAgentWrapperAdapter(form[0](), {0: view})
 
 
 def test_views_can_be_given_by_name_and_options(form):

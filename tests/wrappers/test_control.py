@@ -11,11 +11,7 @@ from gymnasium import spaces
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
 from stkzoo.agents.pursuit.driver import PursuitDriver, PursuitState
 from stkzoo.views import VIEWS, find_view
-from stkzoo.wrappers import (
-    ConstantSizedObservations,
-    FlattenerWrapper,
-    PolarObservations,
-)
+from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import (
     AcclAction,
     CarAction,
@@ -90,34 +86,12 @@ def test_parts_are_found_by_name():
         SteerActionEnum.from_string("speed")
 
 
-@pytest.mark.parametrize(
-    ("kind", "low", "high"),
-    [
-        (AcclAction, -17.5, 17.5),
-        (SpeedAction, -5.0, 25.0),
-        (SteeringAngleAction, -0.425, 0.425),
-        (SteeringSpeedAction, -1.9, 1.9),
-    ],
-)
-def test_each_number_has_limits_and_a_space(kind, low, high):
-    plain, normal = kind(), kind(normalize=True)
-    assert (plain.lower_limit, plain.upper_limit) == (low, high)
-    assert (normal.lower_limit, normal.upper_limit) == (-1.0, 1.0)
-    assert (normal.low, normal.high) == (low, high)
-    assert plain.space == spaces.Box(low, high, (), np.float32)
-    assert normal.normalize
-    with pytest.raises(ConfigError, match="normalize is 3"):
-        kind(normalize=3)
-
-
 def test_parameters_can_be_a_mapping():
     assert CarAction(params={"T_steer": 0.2}).params == CarParameters(T_steer=0.2)
     with pytest.raises(ConfigError, match="sv_maxx"):
         CarAction(params={"sv_maxx": 1.0})
     with pytest.raises(ConfigError, match="expected CarParameters or a mapping"):
         CarAction(params=[1.0])
-    with pytest.raises(ConfigError, match="T_steer is -1"):
-        CarParameters(T_steer=-1)
 
 
 def test_lagging_wheels_reach_63_percent_after_the_time_constant():
@@ -159,8 +133,6 @@ def test_each_kart_has_its_own_parameters():
         CarParameters(a_max=-1)
     with pytest.raises(ConfigError, match="v_min is 30"):
         CarParameters(v_min=30.0)
-    with pytest.raises(ConfigError, match="sv_max is nan"):
-        CarParameters(sv_max=float("nan"))
 
 
 def test_the_engine_agrees_with_the_measured_kart_parameters():
@@ -227,10 +199,14 @@ def test_each_number_has_the_names_of_gymkhana(kind, base, name, factor, expecte
     assert (plain.normalize, normal.normalize) == (False, True)
     assert (plain.scale_factor, normal.scale_factor) == (1.0, pytest.approx(factor))
     assert (normal.lower_limit, normal.upper_limit) == (-1.0, 1.0)
+    assert (normal.low, normal.high) == (plain.lower_limit, plain.upper_limit)
     assert plain.upper_limit - plain.lower_limit == pytest.approx(2 * factor)
+    assert plain.space == spaces.Box(plain.low, plain.high, (), np.float32)
     assert normal.space.contains(normal.space.sample())
     asked = [each.act(0.5, state=STATE, params=LIMITS) for each in (plain, normal)]
     assert asked == pytest.approx(expected)
+    with pytest.raises(ConfigError, match="normalize is 3"):
+        kind(normalize=3)
 
 
 def test_enumerations_have_the_members_of_gymkhana():
@@ -354,16 +330,14 @@ def drive(env, control, steps):
 
 @pytest.mark.parametrize("target", [5.0, 10.0, 15.0])
 def test_a_speed_is_reached_and_held_on_a_straight(target):
-    view = ControlWrapper
-    with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
+    with race_v0.parallel_env(num_kart=1, view=ControlWrapper, **STRAIGHT) as env:
         env.reset(seed=1)
         speeds, _ = drive(env, [0.0, target], 40)
     assert np.abs(speeds[-10:] - target).max() < 0.5
 
 
 def test_a_kart_can_stop_and_drive_backward():
-    view = ControlWrapper
-    with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
+    with race_v0.parallel_env(num_kart=1, view=ControlWrapper, **STRAIGHT) as env:
         env.reset(seed=1, options={"start": Start(distance=190.0, speed=12.0)})
         speeds, _ = drive(env, [0.0, 0.0], 25)
         assert abs(speeds[-1]) < 0.1
@@ -374,8 +348,7 @@ def test_a_kart_can_stop_and_drive_backward():
 @pytest.mark.parametrize("radius", [4.0, 6.5])
 def test_a_steering_angle_holds_a_circle(radius):
     angle = CarParameters().steering_angle(radius)
-    view = ControlWrapper
-    with race_v0.parallel_env(num_kart=1, track="scotland", view=view) as env:
+    with race_v0.parallel_env(num_kart=1, track="scotland", view=ControlWrapper) as env:
         env.reset(seed=1)
         distance = float(env.track_map.path_distance[139, 0]) + 2.0
         start = Start(distance=distance, offset=-radius, speed=5.0)

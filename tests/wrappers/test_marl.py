@@ -12,7 +12,7 @@ from stkzoo import ActionError, ConfigError, race_v0
 from stkzoo.views import VIEWS
 from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
 from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
-from tests.support.generic_env import full_views
+from tests.support.generic_env import full_views, kart_env
 
 TEAMS = [["kart_0", 3], ["1", "kart_2"]]
 
@@ -159,16 +159,26 @@ def test_a_wrapper_in_the_wrong_place_is_refused(view, text):
 
 
 @pytest.mark.parametrize(
-    ("options", "text"),
+    ("wrapper", "options", "text"),
     [
-        ({"radius": 0}, "radius is 0"),
-        ({"angle": math.nan}, "angle is nan"),
-        ({"of": ["cart"]}, "unknown thing to see"),
+        (PartialObservations, {"radius": 0}, "radius is 0"),
+        (PartialObservations, {"angle": math.nan}, "angle is nan"),
+        (PartialObservations, {"of": ["cart"]}, "unknown thing to see"),
+        (Teams, {"teams": [[0, 1], [2]]}, "'kart_3' is in 0 teams"),
+        (Teams, {"teams": [[0, 1], [1, 2, 3]]}, "'kart_1' is in 2 teams"),
+        (Teams, {"teams": [[0, 1, 2, 3, 4]]}, "unknown agent 4"),
+        (Teams, {"teams": [[0, 1, 2, 3], []]}, "not a list of agents, or is empty"),
+        (Teams, {"teams": [[0, 1, 2, 3]], "share": 1.5}, "share is 1.5"),
+        (MessageChannel, {"size": 0}, "size is 0"),
+        (MessageChannel, {"words": 1}, "words is 1"),
+        (MessageChannel, {"reach": -1}, "reach is -1"),
+        (MessageChannel, {"within_teams": True}, "needs teams"),
     ],
 )
-def test_limited_sight_refuses_invalid_options(options, text):
-    with pytest.raises(Exception, match=text):
-        race(view=lambda env: PartialObservations(env, **options))
+def test_invalid_options_are_refused(wrapper, options, text):
+    env = kart_env() if wrapper is PartialObservations else race()
+    with pytest.raises(ConfigError, match=text):
+        wrapper(env, **options)
 
 
 # ------------------------------------------------------------------ teams
@@ -237,21 +247,6 @@ def test_teammates_are_where_the_full_view_shows_them():
         assert not observations["kart_2"]["mates"].any()
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"teams": [[0, 1], [2]]}, "'kart_3' is in 0 teams"),
-        ({"teams": [[0, 1], [1, 2, 3]]}, "'kart_1' is in 2 teams"),
-        ({"teams": [[0, 1, 2, 3, 4]]}, "unknown agent 4"),
-        ({"teams": [[0, 1, 2, 3], []]}, "not a list of agents, or is empty"),
-        ({"teams": [[0, 1, 2, 3]], "share": 1.5}, "share is 1.5"),
-    ],
-)
-def test_invalid_teams_are_refused(options, text):
-    with race() as env, pytest.raises(ConfigError, match=text):
-        Teams(env, **options)
-
-
 # ------------------------------------------------------------------ messages
 
 
@@ -317,20 +312,6 @@ def test_a_message_that_is_no_vector_is_refused(message):
         env.reset(seed=1)
         with pytest.raises(ActionError, match="message of agent 'kart_0' is"):
             env.step(say(env, dict.fromkeys(env.agents, message)))
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"size": 0}, "size is 0"),
-        ({"words": 1}, "words is 1"),
-        ({"reach": -1}, "reach is -1"),
-        ({"within_teams": True}, "needs teams"),
-    ],
-)
-def test_invalid_channels_are_refused(options, text):
-    with race() as env, pytest.raises(ConfigError, match=text):
-        MessageChannel(env, **options)
 
 
 # ------------------------------------------------------------------ combinations

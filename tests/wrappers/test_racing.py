@@ -27,8 +27,8 @@ from stkzoo.wrappers.racing import (
     road_observer,
     surroundings_of,
 )
-from stkzoo.wrappers.racing.features import MARKS, STEP
-from stkzoo.wrappers.racing.surroundings import NUM_POINTS, traced
+from stkzoo.wrappers.racing.features import MARKS
+from stkzoo.wrappers.racing.surroundings import traced
 from tests.support.generic_env import kart_env
 
 
@@ -153,16 +153,6 @@ def road_line(starts, ends, width):
     widths = np.full(len(starts), width, np.float32)
     lines, _ = traced(starts[None], ends[None], widths[None], np.array([len(starts)]))
     return lines[0]
-
-
-def test_a_straight_road_gives_a_straight_line():
-    starts = np.array([[0, 0, 10.0 * n] for n in range(8)], np.float32)
-    ends = starts + np.array([0, 0, 10], np.float32)
-    line = road_line(starts, ends, 6.0)
-    assert line.shape == (NUM_POINTS, 4)
-    expected = STEP * np.arange(NUM_POINTS)  # also beyond the end of the road
-    np.testing.assert_allclose(line[:, 2], expected, atol=1e-4)
-    np.testing.assert_allclose(line[:, 3], 3.0)
 
 
 def test_the_line_continues_after_a_short_gap_but_not_after_a_long_one():

@@ -125,23 +125,6 @@ def test_an_observed_ai_action_is_declared_in_the_flattened_action_space(view):
     assert env.observation_space["action"] == env.action_space
 
 
-@pytest.mark.parametrize("view", FIXED_SIZE)
-def test_a_batch_of_actions_equals_its_rows_one_by_one(view):
-    env = wrap(kart_env(), view)
-    env.action_space.seed(8)
-    samples = [env.action_space.sample() for _ in range(6)]
-    is_dict = isinstance(samples[0], dict)
-    stacked = (
-        {key: np.stack([s[key] for s in samples]) for key in samples[0]}
-        if is_dict
-        else np.stack(samples)
-    )
-    batch = act(env, stacked)
-    for number, sample in enumerate(samples):
-        for key, value in act(env, sample).items():
-            assert np.array_equal(batch[key][number], value)
-
-
 @pytest.mark.parametrize("view", VIEWS)
 def test_empty_lists_can_be_observed(view):
     env = wrap(kart_env(), view)
@@ -269,14 +252,6 @@ def test_flattening_only_actions_keeps_the_observation():
         {k: v for k, v in seen.items() if k != "action"},
         {k: v for k, v in obs.items() if k != "action"},
     )
-
-
-def test_wrapped_spaces_have_their_own_generators():
-    base = kart_env(use_ai=True)
-    env = DiscreteActionsWrapper(base)
-    parts = [env.action_space["brake"], env.observation_space["action"]["brake"]]
-    parts += [base.action_space["brake"], base.observation_space["action"]["brake"]]
-    assert len({id(part) for part in parts}) == 4
 
 
 def test_a_spec_keeps_arguments_that_are_not_the_defaults():
