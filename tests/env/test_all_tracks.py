@@ -9,7 +9,7 @@ import pytest
 from stkzoo import race_v0
 from stkzoo.engine.assets import find_assets
 from stkzoo.tracks import SPLITS
-from tests.support.playing import assert_in, play
+from tests.support.playing import assert_in, kart_action, play
 from tests.support.views import marked
 
 pytestmark = pytest.mark.slow
@@ -38,5 +38,4 @@ def test_the_split_contains_all_tracks_of_the_game():
 
 
 def full_throttle(step):
-    buttons = dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0)
-    return {agent: {"acceleration": [1.0], "steer": [0.0], **buttons} for agent in step.agents}
+    return dict.fromkeys(step.agents, kart_action(1.0))

@@ -18,6 +18,7 @@ from stkzoo import (
 )
 from stkzoo.engine.starting import CenterLine
 from stkzoo.env.starts import draw_starts
+from tests.support.playing import kart_action
 
 
 def race(num_kart=1, track="lighthouse", **options):
@@ -39,14 +40,9 @@ def expected_point(env, start):
 
 
 def coast(env, steps, throttle=0.0):
-    action = {
-        "acceleration": np.array([throttle], np.float32),
-        "steer": np.zeros(1, np.float32),
-        **dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0),
-    }
     states = []
     for _ in range(steps):
-        env.step(dict.fromkeys(env.agents, action))
+        env.step(dict.fromkeys(env.agents, kart_action(throttle)))
         states.append(env.state())
     return np.array(states)
 
@@ -185,40 +181,25 @@ def test_starts_work_in_this_process_and_with_gymnasium():
 
 
 @pytest.mark.parametrize(
-    ("start", "message"),
+    ("make", "arguments", "message"),
     [
-        ("grid?", "start is 'grid\\?', expected None for the grid"),
-        (True, "start is True"),
-        ({}, "empty mapping"),
-        (float("nan"), "distance of a start is nan"),
-        ({"distanc": 3.0}, "unknown field 'distanc' of a start. Did you mean 'distance'"),
-        ({"share": [0.5, 0.2]}, r"expected \(lowest, highest\)"),
+        (race, {"start": "grid?"}, "start is 'grid\\?', expected None for the grid"),
+        (race, {"start": True}, "start is True"),
+        (race, {"start": {}}, "empty mapping"),
+        (race, {"start": float("nan")}, "distance of a start is nan"),
+        (race, {"start": {"distanc": 3.0}}, "'distanc' of a start. Did you mean 'distance'"),
+        (race, {"start": {"share": [0.5, 0.2]}}, r"expected \(lowest, highest\)"),
+        (Start, {"distance": 1.0, "share": 0.5}, "either a distance"),
+        (Start, {"share": 1.5}, "share of a start is 1.5"),
+        (Start, {"share": 0.5, "speed": -1.0}, "speed of a start is -1"),
+        (Start, {"share": 0.5, "heading": 4.0}, "heading of a start is 4"),
+        (RandomStart, {"speed": 3.0}, r"speed is 3\.0"),
+        (RandomStart, {"speed": (0.0, 50.0)}, "speed of a start is 50"),
     ],
 )
-def test_invalid_starts_are_refused_before_the_race(start, message):
+def test_invalid_starts_are_refused_before_the_race(make, arguments, message):
     with pytest.raises(ConfigError, match=message):
-        race(start=start)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"distance": 1.0, "share": 0.5}, "either a distance"),
-        ({"share": 1.5}, "share of a start is 1.5"),
-        ({"share": 0.5, "speed": -1.0}, "speed of a start is -1"),
-        ({"share": 0.5, "heading": 4.0}, "heading of a start is 4"),
-    ],
-)
-def test_invalid_numbers_of_a_start_are_refused(arguments, message):
-    with pytest.raises(ConfigError, match=message):
-        Start(**arguments)
-
-
-def test_invalid_bounds_are_refused():
-    with pytest.raises(ConfigError, match=r"speed is 3\.0"):
-        RandomStart(speed=3.0)
-    with pytest.raises(ConfigError, match="speed of a start is 50"):
-        RandomStart(speed=(0.0, 50.0))
+        make(**arguments)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from stkzoo.errors import (
     EngineError,
     EngineTimeout,
 )
-from tests.support.playing import fingerprint
+from tests.support.playing import fingerprint, kart_action
 from tests.support.processes import children_of, process_exists, run_program, wait_until
 from tests.support.views import marked
 
@@ -44,13 +44,11 @@ def actions_at(env, number):
     """Returns actions that depend only on the step's number, so that any race can repeat them."""
     random = np.random.default_rng(number)
     return {
-        agent: {
-            "acceleration": np.ones(1, np.float32),
-            "steer": random.uniform(-0.4, 0.4, 1).astype(np.float32),
+        agent: kart_action(
+            1.0,
+            random.uniform(-0.4, 0.4),
             **{name: int(random.random() < 0.2) for name in ("drift", "fire", "nitro")},
-            "brake": 0,
-            "rescue": 0,
-        }
+        )
         for agent in env.agents
     }
 

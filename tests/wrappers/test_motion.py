@@ -12,12 +12,11 @@ from stkzoo.race import run_race
 from stkzoo.views import full_with
 from stkzoo.wrappers import ConstantSizedObservations
 from stkzoo.wrappers.marl import PartialObservations
+from tests.support.playing import kart_action
 
 MOVING = full_with(["motion"])
 WITH_MOTION = ("simple", {"karts_motion": True, "state_karts": 4})
-STAY = {"acceleration": 0.0, "steer": 0.0} | dict.fromkeys(
-    ("brake", "drift", "fire", "nitro", "rescue"), 0
-)
+STAY = kart_action()
 
 
 def course(step_size=1 / 60, steps=300, seed=5):
