@@ -12,6 +12,8 @@ import re
 from collections.abc import Collection, Hashable, Iterable, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
+
 from stkzoo.errors import MAX_LINE, ArgumentNameError, ConfigError
 
 Kind = TypeVar("Kind", bound=type)
@@ -216,8 +218,10 @@ def shortened(value: object, limit: int = 60) -> str:
         limit: maximum length [characters].
     """
     try:
-        text = re.sub(r"\s*\n\s*", " ", repr(value))
-        if len(text) > limit and hasattr(value, "shape") and hasattr(value, "dtype"):
+        with np.printoptions(threshold=limit, edgeitems=1):  # else many axes have a huge repr
+            text = re.sub(r"\s*\n\s*", " ", repr(value))
+        is_long = len(text) > limit or math.prod(getattr(value, "shape", ())) > limit
+        if is_long and hasattr(value, "shape") and hasattr(value, "dtype"):
             return f"an array of shape {tuple(value.shape)} and dtype {value.dtype}"
     except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
         text = f"({type(value).__name__}: its __repr__ failed)"

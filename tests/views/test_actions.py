@@ -20,9 +20,10 @@ STEER = spaces.Dict({"steer": spaces.Box(-1, 1, (1,), np.float32)})
         [["x" * 1_000_000], ["x"] * 1000],
         "x" * 1_000_000,
         np.zeros([7] * 8, np.int8),
+        [np.zeros([6] * 8, np.int8)],
         [np.zeros(0)] * 100_000,
     ],
-    ids=["texts", "nested texts", "text", "array of many axes", "empty arrays"],
+    ids=["texts", "nested texts", "text", "many axes", "many axes in a list", "empty arrays"],
 )
 def test_refusing_an_action_costs_little(steer):
     tracemalloc.start()
