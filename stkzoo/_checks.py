@@ -19,7 +19,7 @@ from stkzoo.errors import MAX_LINE, ArgumentNameError, ConfigError
 Kind = TypeVar("Kind", bound=type)
 
 #: Least similarity of a name that an error suggests, and least length of a part of one.
-_NEAR, _MIN_PART = 0.75, 3
+_NEAR, _MIN_PART = 0.7, 3
 
 
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:

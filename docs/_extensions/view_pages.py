@@ -193,7 +193,7 @@ def _range(space: spaces.Space[Any]) -> str:
 
 def _action(space: spaces.Space[Any]) -> Iterator[str]:
     game = kart_action_space()
-    steps = DiscreteActionsWrapper(MonoAgentEnv(kart_observation_space(), game)).action_space
+    steps = DiscreteActionsWrapper(MonoAgentEnv(kart_observation_space(), game, None)).action_space
     assert isinstance(steps, spaces.Dict)  # noqa: S101 - as the game's own
     names = sorted(steps.spaces)
     counts = [int(steps[name].n) for name in names]  # type: ignore[attr-defined]

@@ -107,7 +107,7 @@ def test_the_order_of_the_flattened_vector_is_documented():
 
 
 def test_the_formula_for_discrete_actions_is_correct():
-    base = MonoAgentEnv(kart_observation_space(), kart_action_space())
+    base = MonoAgentEnv(kart_observation_space(), kart_action_space(), None)
     flat = VIEWS["flattened_discrete"](base)
     # acceleration, brake, drift, fire, nitro, rescue, steer
     assert flat.action(4 + 5 + 40 + 160 * 6).tolist() == [4, 1, 0, 0, 1, 0, 6]

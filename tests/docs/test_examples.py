@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import re
+import shutil
 import zipfile
 from pathlib import Path
 from unittest import mock
@@ -99,6 +100,7 @@ def runner():
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
 def test_each_python_block_of_a_page_runs_on_its_own(page, runner, tmp_path, monkeypatch):
     enter_folder(tmp_path, monkeypatch)
+    shutil.rmtree(tmp_path / "my_driver")  # pages make it
     to_run = []
     for block in blocks(page, "python"):
         if reason_not_to_run(block):

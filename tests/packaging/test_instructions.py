@@ -100,7 +100,7 @@ def test_messages_name_extras_that_exist():
             if place is not None and isinstance(node.args[place], ast.Constant):
                 named.add(node.args[place].value)
     assert len(named) > 4
-    assert named <= set(EXTRAS)
+    assert named <= {"", *EXTRAS}
 
 
 def test_the_repository_url_is_the_same_everywhere():

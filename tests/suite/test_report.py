@@ -149,7 +149,10 @@ def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(tmp_path):
 def test_a_missing_library_is_named(two_runs, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main(["suite", "report", str(two_runs[0]), "--output", str(tmp_path / "report")]) == 2
-    assert "the plot needs matplotlib, which is not installed" in capsys.readouterr().err
+    assert (
+        "the plot needs matplotlib (extra report), which is not installed"
+        in capsys.readouterr().err
+    )
 
 
 # ------------------------------------------------------------------ invalid results
