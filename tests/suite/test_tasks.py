@@ -109,7 +109,7 @@ def test_an_agent_can_name_each_task_as_its_view(tmp_path):
     )
     race = {"track": "lighthouse", "seed": 5, "max_steps": 3, "error_handling": "raise"}
     assert run_race([str(versus)], **race).agents[0].num_errors == 0
-    with pytest.raises(ConfigError, match="Known: .*stkzoo-suite/team-2v2-v1"):
+    with pytest.raises(ConfigError, match=r"Known: .*stkzoo-suite/team-2v2-v1"):
         view_of("stkzoo-suite/team-2v2-v0")
 
 
