@@ -336,6 +336,18 @@ class StepScorer:
                 its row of ``sums``, and the sum of its reward terms, which are written.
         """
 
+def action_mask(
+    energy: float, powerup: int, nitro: npt.NDArray[np.bool_], fire: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int8]:
+    """Returns 1 for actions that have an effect, otherwise 0, ``(n,)`` int8.
+
+    Args:
+        energy: nitro in the kart's tank.
+        powerup: number of its powerup; 0 for none.
+        nitro: ``(n,)`` actions that press nitro.
+        fire: ``(n,)`` actions that fire.
+    """
+
 def reward_term(
     name: str, before: bytes, after: bytes, race_length: float
 ) -> npt.NDArray[np.float64]:

@@ -396,20 +396,42 @@ static PyObject *as_dict(KartObserver *observer, const Scene *scene)
 
 /* ---------------------------------------------------------------- rows of a batch */
 
-/* Writes 1 for real rows and 0 for padding. In the mask of actions, writes 0 for those without
-   effect: they press nitro with an empty tank, or fire without a powerup. */
+/* Writes 0 for actions without effect, which press nitro with an empty tank or fire without a
+   powerup, and 1 for the others. */
+static void write_action_mask(float energy, int powerup, Flags nitro, Flags fire, npy_int8 *out)
+{
+    const int no_nitro = !(energy > 0), no_powerup = powerup == 0;
+    for (npy_intp i = 0; i < nitro.size; i++) {
+        out[i] = !((no_nitro && nitro.data[i]) || (no_powerup && fire.data[i]));
+    }
+}
+
+PyObject *action_mask(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    float energy;
+    int powerup;
+    Flags nitro, fire;
+    if (!PyArg_ParseTuple(args, "fiO&O&", &energy, &powerup, as_flags, &nitro, as_flags, &fire)) {
+        return NULL;
+    }
+    if (nitro.size != fire.size) {
+        return PyErr_Format(PyExc_ValueError, "nitro and fire must have equal lengths");
+    }
+    PyObject *mask = PyArray_SimpleNew(1, &nitro.size, NPY_INT8);
+    if (mask) write_action_mask(energy, powerup, nitro, fire, PyArray_DATA((PyArrayObject *)mask));
+    return mask;
+}
+
+/* Writes the mask of actions or, for lists, 1 for real rows and 0 for padding. */
 static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
 {
     const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
-    const npy_bool *nitro = scene->nitro.data, *fire = scene->fire.data;
-    const int no_nitro = !(scene->me->energy > 0), no_powerup = scene->me->powerup_type == 0;
-    if (key->group != ACTIONS) {
-        for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
+    if (key->group == ACTIONS) {
+        const Kart *me = scene->me;
+        write_action_mask(me->energy, me->powerup_type, scene->nitro, scene->fire, out);
         return;
     }
-    for (npy_intp i = 0; i < rows; i++) {
-        out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
-    }
+    for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
 }
 
 /* Where values are written: the address in the first row, and the size of a row and of an element

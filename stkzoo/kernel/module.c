@@ -66,6 +66,7 @@ void free_object(PyObject *self)
 /* ---------------------------------------------------------------- the module */
 
 static PyMethodDef methods[] = {
+    {"action_mask", action_mask, METH_VARARGS, "Returns which actions have an effect."},
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
     {"look_around", look_around, METH_VARARGS, "Writes the surroundings of karts."},
     {"new_batch", new_batch, METH_VARARGS, "Returns a batch without content."},

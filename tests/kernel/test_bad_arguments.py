@@ -75,6 +75,7 @@ def cases():
     kept["to_polar"] = [((points,), {}, None, ())]
     kept["new_batch"] = [((batch_of(), 3), {}, None, ())]
     kept["split_batch"] = [((batch_of(), ("a", "b")), {}, None, ())]
+    kept["action_mask"] = [((0.0, 1, FLAGS, FLAGS), {}, None, ())]
     kept["reward_term"] = [(("advance", KARTS, KARTS, 20.0), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
@@ -137,6 +138,7 @@ def snapshot_of(num_kart=2, num_items=2, node=0):
     return Snapshot.of(np.zeros((), HEADER_DTYPE), karts, np.zeros(num_items, ITEM_DTYPE)).data
 
 
+FLAGS = np.array([True, False])
 KARTS = snapshot_of()
 FIRST, TWO = np.zeros(1, np.intp), np.arange(2)
 

@@ -7,7 +7,7 @@ Those of the planner (``plan_*``) are not imported here, because the planner is 
 from tests.oracle.action_reader import ActionReader
 from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
-from tests.oracle.kart_observer import KartObserver
+from tests.oracle.kart_observer import KartObserver, action_mask
 from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import look_around, observe_racing, write_racing_view
 from tests.oracle.road_tracer import trace_roads
@@ -22,6 +22,7 @@ __all__ = [
     "KartObserver",
     "StepScorer",
     "TrackGraph",
+    "action_mask",
     "join_rows",
     "look_around",
     "new_batch",

@@ -95,8 +95,8 @@ class KartObserver:
         continuous = np.concatenate(numbers, axis=1, dtype=np.float32)
         mask = {}
         if self._nitro is not None and self._fire is not None:
-            has = batch["energy"], batch["powerup_type"]
-            mask["action_mask"] = action_mask(self._nitro, self._fire, *has)
+            state = (batch[key].reshape(-1, 1) for key in ("energy", "powerup_type"))
+            mask["action_mask"] = action_mask(*state, self._nitro, self._fire)
         if self._joined is None:
             return {**mask, "continuous": continuous, "discrete": choices}
         ones = []
@@ -108,12 +108,9 @@ class KartObserver:
 
 
 def action_mask(
-    nitro: BoolArray,
-    fire: BoolArray,
-    energy: npt.NDArray[np.float32],
-    powerup_types: npt.NDArray[np.int64],
+    energy: Any, powerup: Any, nitro: BoolArray, fire: BoolArray
 ) -> npt.NDArray[np.int8]:
-    has_nitro, has_powerup = energy.reshape(-1, 1) > 0, powerup_types.reshape(-1, 1) != 0
+    has_nitro, has_powerup = np.greater(energy, 0), np.not_equal(powerup, 0)
     return np.asarray((~nitro | has_nitro) & (~fire | has_powerup), np.int8)
 
 

@@ -14,6 +14,7 @@ USERS = {
     "env.vec.rows": ["new_batch"],
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
+    "wrappers.marl.observations": ["action_mask"],
     "drivers.messages": ["join_rows"],
     "views.chains": ["new_batch", "split_batch"],
     "views.plan": ["ActionReader", "KartObserver"],

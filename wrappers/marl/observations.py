@@ -14,6 +14,7 @@ from gymnasium import spaces
 
 from stkzoo._checks import check_name, check_number, shortened
 from stkzoo.errors import ConfigError
+from stkzoo.kernel import action_mask
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import (
     ActionObservationWrapper,
@@ -78,11 +79,10 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns the observation with the mask, ``(n,)`` int8."""
-        numbers, choices = (np.asarray(observation[key]) for key in ("continuous", "discrete"))
-        is_empty = ~(numbers[..., self._energy, None] > 0)
-        is_unarmed = choices[..., self._powerup, None] == 0
-        mask = ~((is_empty & self._nitro) | (is_unarmed & self._fire))
-        seen = {**observation, "action_mask": mask.astype(np.int8)}
+        energy = observation["continuous"][self._energy]
+        powerup = observation["discrete"][self._powerup]
+        mask = action_mask(energy, powerup, self._nitro, self._fire)
+        seen = {**observation, "action_mask": mask}
         return {key: seen[key] for key in self._keys}
 
 
