@@ -220,7 +220,7 @@ def shortened(value: object, limit: int = 60) -> str:
     try:
         with np.printoptions(threshold=limit, edgeitems=1):  # else many axes have a huge repr
             text = re.sub(r"\s*\n\s*", " ", repr(value))
-        is_long = len(text) > limit or math.prod(getattr(value, "shape", ())) > limit
+        is_long = len(text) > limit or math.prod(getattr(value, "shape", None) or ()) > limit
         if is_long and hasattr(value, "shape") and hasattr(value, "dtype"):
             return f"an array of shape {tuple(value.shape)} and dtype {value.dtype}"
     except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error

@@ -205,10 +205,12 @@ def test_the_results_page_has_room_for_many_results(size):
     assert end_card("lighthouse", "results", rows, None, size).shape == (size[1], size[0], 3)
 
 
-def test_a_video_is_as_long_as_the_race(tmp_path):
+def test_a_video_is_as_long_as_the_race_and_does_not_change_it(tmp_path):
     path = tmp_path / "race.mp4"
     video = RaceVideo(path, backend="map", size=(160, 120), sub_steps=3, card_seconds=1.0)
-    result = run_race(["ai", "ai"], track="lighthouse", seed=1, max_steps=20, listeners=[video])
+    settings = {"track": "lighthouse", "seed": 1, "max_steps": 40}
+    result = run_race(["ai", "ai"], **settings, listeners=[video])
+    assert result == run_race(["ai", "ai"], **settings)  # D19
     pictures, rate = read(path)
     assert rate == 30
     assert len(pictures) == 1 + 3 * result.steps + 30
