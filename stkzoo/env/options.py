@@ -90,8 +90,7 @@ class RaceOptions:
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
         check_mode(self.mode)
-        if not isinstance(self.events, bool):
-            raise ConfigError(f"events is {self.events!r}, expected True or False")
+        check_type("events", self.events, bool, "True or False")
         check_type("reverse", self.reverse, bool | None, "True, False or None")
         for name in _SECONDS:
             if getattr(self, name) is not None:
@@ -99,8 +98,8 @@ class RaceOptions:
         check_number("step_size", self.step_size, 1e-3, _MAX_STEP_SIZE)
         if isinstance(self.track, Sequence) and not isinstance(self.track, (str, bytes)):
             object.__setattr__(self, "track", tuple(self.track))
-        elif not isinstance(self.track, (str, type(None))):
-            raise ConfigError(f"track is {self.track!r}, expected a name, names or None")
+        else:
+            check_type("track", self.track, str | None, "a name, names or None")
 
     def changed(self, options: Mapping[str, Any]) -> RaceOptions:
         """Returns a copy with the known entries of ``options`` applied.

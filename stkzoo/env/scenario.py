@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from stkzoo._checks import check_whole
+from stkzoo._checks import check_type, check_whole
 from stkzoo._os import write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
 from stkzoo._schema import Count
@@ -145,9 +145,9 @@ def read_scenario(choice: object) -> Scenario:
     """
     if isinstance(choice, (str, os.PathLike)):
         return Scenario.load(choice)
-    if not isinstance(choice, Scenario):
-        raise ConfigError(f"scenario is {choice!r}, expected a Scenario or the path of its file")
-    return choice
+    expected = "a Scenario or the path of its file"
+    scenario: Scenario = check_type("scenario", choice, Scenario, expected)
+    return scenario
 
 
 def digest_of(snapshot: Snapshot) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from stkzoo._checks import check_type
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.env.episode import Episode
 from stkzoo.env.options import OF_AN_EPISODE, RaceOptions
@@ -120,9 +121,8 @@ def checked_state(state: object) -> RaceState:
     Raises:
         ConfigError: it is something else.
     """
-    if not isinstance(state, RaceState):
-        raise ConfigError(f"state is {state!r}, expected a RaceState from save_state()")
-    return state
+    checked: RaceState = check_type("state", state, RaceState, "a RaceState from save_state()")
+    return checked
 
 
 def check_beside(what: str, asked: Mapping[str, Any], agents: Sequence[str]) -> None:

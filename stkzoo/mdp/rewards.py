@@ -24,7 +24,7 @@ from numbers import Real
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import check_name, shortened
+from stkzoo._checks import check_name, check_type, shortened
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.kernel import reward_term
 from stkzoo.mdp.transition import Transition
@@ -87,8 +87,7 @@ class Reward:
 
     def __post_init__(self) -> None:
         for part in ("terms", "weights"):
-            if not isinstance(getattr(self, part), Mapping):
-                raise ConfigError(f"{part} is {getattr(self, part)!r}, expected a dict by name")
+            check_type(part, getattr(self, part), Mapping, "a dict by name")
         for name, term in self.terms.items():
             if not isinstance(name, str) or not callable(term):
                 raise ConfigError(

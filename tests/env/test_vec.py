@@ -4,7 +4,7 @@ import logging
 import os
 import select
 import signal
-from contextlib import ExitStack, closing
+from contextlib import closing
 
 import gymnasium as gym
 import numpy as np
@@ -21,6 +21,7 @@ from stkzoo import (
 )
 from stkzoo.env.vec.starts import AheadStarts
 from stkzoo.views import VIEWS
+from tests.support.playing import vector_maker
 from tests.support.processes import process_exists, wait_until
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
@@ -30,11 +31,7 @@ NUM_STEPS = 70  # two whole races and part of a third one
 @pytest.fixture
 def make():
     """Makes environments, and closes them after the test."""
-    with ExitStack() as stack:
-
-        def make(num_races=2, **options):
-            return stack.enter_context(closing(RaceVectorEnv(num_races, **OPTIONS | options)))
-
+    with vector_maker(RaceVectorEnv, **OPTIONS) as make:
         yield make
 
 

@@ -6,7 +6,6 @@ import copy
 import os
 import pickle
 import signal
-from contextlib import ExitStack, closing
 
 import gymnasium as gym
 import numpy as np
@@ -18,6 +17,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from stkzoo import AgentSpec, ConfigError, RaceVectorEnv
 from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
+from tests.support.playing import vector_maker
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 LEARNING = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
@@ -27,11 +27,7 @@ BOTS = {"num_kart": 2, "agents": [AgentSpec(use_ai=True)] * 2, "track": "oliverm
 @pytest.fixture
 def make():
     """Makes environments, and closes them after the test."""
-    with ExitStack() as stack:
-
-        def make(num_races=2, **options):
-            return stack.enter_context(closing(RaceVecEnv(num_races, **OPTIONS | options)))
-
+    with vector_maker(RaceVecEnv, **OPTIONS) as make:
         yield make
 
 

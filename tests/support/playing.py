@@ -3,6 +3,7 @@
 import copy
 import hashlib
 from collections.abc import Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,17 @@ from gymnasium import spaces
 from stkzoo.mdp.spaces import action_of
 
 PARTS = ("observations", "rewards", "terminations", "truncations", "infos")
+
+
+@contextmanager
+def vector_maker(env_type, **defaults):
+    """Yields a function that makes vector environments, which are closed at the end."""
+    with ExitStack() as stack:
+
+        def make(num_races=2, **options):
+            return stack.enter_context(closing(env_type(num_races, **defaults | options)))
+
+        yield make
 
 
 @dataclass(frozen=True)
