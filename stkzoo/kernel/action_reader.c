@@ -47,28 +47,32 @@ static int put(const Entry *entry, double value, float *row)
     return 1;
 }
 
-/* Reads element i of an array; returns 0 if the dtype is not one of the usual ones. */
-static int number_at(PyArrayObject *array, npy_intp i, double *value)
+/* Reads a number of an array; returns 0 if the dtype is not one of the usual ones. */
+static int number_at(PyArrayObject *array, const char *data, double *value)
 {
-    const void *data = PyArray_DATA(array);
     switch (PyArray_TYPE(array)) {
-    case NPY_FLOAT32: *value = ((const float *)data)[i]; return 1;
-    case NPY_FLOAT64: *value = ((const double *)data)[i]; return 1;
-    case NPY_LONG: *value = (double)((const npy_long *)data)[i]; return 1;
-    case NPY_LONGLONG: *value = (double)((const npy_longlong *)data)[i]; return 1;
-    case NPY_INT32: *value = ((const npy_int32 *)data)[i]; return 1;
-    case NPY_INT8: *value = ((const npy_int8 *)data)[i]; return 1;
-    case NPY_BOOL: *value = ((const npy_bool *)data)[i]; return 1;
+    case NPY_FLOAT32: *value = *(const float *)data; return 1;
+    case NPY_FLOAT64: *value = *(const double *)data; return 1;
+    case NPY_LONG: *value = (double)*(const npy_long *)data; return 1;
+    case NPY_LONGLONG: *value = (double)*(const npy_longlong *)data; return 1;
+    case NPY_INT32: *value = *(const npy_int32 *)data; return 1;
+    case NPY_INT8: *value = *(const npy_int8 *)data; return 1;
+    case NPY_BOOL: *value = *(const npy_bool *)data; return 1;
     default: return 0;
     }
 }
 
-/* Reads a leaf's numbers from element `first` of an array on. */
-static int read_numbers(const Leaf *leaf, PyArrayObject *array, npy_intp first, float *row)
+/* Reads a leaf's numbers from an array, or from a slot's row of it. */
+static int read_numbers(const Leaf *leaf, PyArrayObject *array, npy_intp slot, float *row)
 {
+    const int axes = PyArray_NDIM(array);
+    const char *data = PyArray_BYTES(array) + (slot ? slot * PyArray_STRIDE(array, 0) : 0);
+    const npy_intp stride = leaf->count > 1 ? PyArray_STRIDE(array, axes - 1) : 0;
     for (npy_intp i = 0; i < leaf->count; i++) {
         double value;
-        if (!number_at(array, first + i, &value) || !put(leaf->entries + i, value, row)) return 0;
+        if (!number_at(array, data + i * stride, &value) || !put(leaf->entries + i, value, row)) {
+            return 0;
+        }
     }
     return 1;
 }
@@ -77,7 +81,7 @@ static int read_numbers(const Leaf *leaf, PyArrayObject *array, npy_intp first, 
 static int fits_leaf(const Leaf *leaf, PyArrayObject *array, npy_intp count)
 {
     const int axes = PyArray_NDIM(array), has_slots = count >= 0;
-    if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISBEHAVED_RO(array) ||
+    if (!PyArray_ISBEHAVED_RO(array) ||
         (has_slots && (axes == 0 || PyArray_DIM(array, 0) != count))) {
         return 0;
     }
@@ -90,7 +94,7 @@ static int read_leaf(const Leaf *leaf, PyObject *object, npy_intp slot, npy_intp
 {
     if (PyArray_Check(object)) {
         PyArrayObject *array = (PyArrayObject *)object;
-        return fits_leaf(leaf, array, count) && read_numbers(leaf, array, slot * leaf->count, row);
+        return fits_leaf(leaf, array, count) && read_numbers(leaf, array, slot, row);
     }
     if (leaf->count != 1 || count >= 0) return 0;
     if (!PyFloat_Check(object) && !PyLong_Check(object) && !PyArray_IsScalar(object, Integer) &&

@@ -367,11 +367,15 @@ def test_batches_of_actions_match_the_oracle():
     )
     readers = [made(("a", "b"), leaves) for made in (ActionReader, oracle.ActionReader)]
     slots, rows, num_taken = np.array([4, 0, 2]), np.array([1, 0, 3]), 0
-    for _ in range(500):
+    for number in range(500):
         good = {"a": random.uniform(-1, 1, (5, 1)), "b": random.integers(0, 2, (5, 2))}
+        if number % 2:  # columns of wider arrays, and arrays in another order
+            wide = random.uniform(-1, 1, (5, 3))
+            good = {"a": wide[::-1, 1:2], "b": np.asfortranarray(good["b"])}
         batch = fuzzed(random, good) if random.random() < 0.5 else good
         ours, theirs = np.ones((2, 5, 7), np.float32)
         is_read = readers[0].read(batch, slots, rows, ours, 5)
+        assert is_read or batch is not good
         if is_read:
             num_taken += 1
             assert readers[1].read(batch, slots, rows, theirs, 5), batch
