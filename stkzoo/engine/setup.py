@@ -32,7 +32,7 @@ class KartSetup(LeftOutNames):
         camera_mode: number of :class:`stkzoo.names.CameraMode`.
     """
 
-    left_out: ClassVar = {
+    left_out: ClassVar[dict[str, str]] = {
         **dict.fromkeys(("Controller", "controller", "team"), "use is_bot"),
         "CameraMode": "use stkzoo.CameraMode",
     }
@@ -61,7 +61,9 @@ class RaceSetup(LeftOutNames):
         mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
-    left_out: ClassVar = dict.fromkeys(("RaceMode", "overlay"), "use mode and a render_mode")
+    left_out: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("RaceMode", "overlay"), "use mode and a render_mode"
+    )
     track: Annotated[str, _FOLDER]
     karts: Annotated[tuple[KartSetup, ...], Meta(min_length=1, max_length=256)]
     laps: int = 1
