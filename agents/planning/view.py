@@ -167,9 +167,7 @@ class _SurroundingsObserver:
     def observe_into(self, source: Any, karts: IntArray, rows: IntArray, batch: Any) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         snapshot = source.snapshot
-        around = road_observer(source.track_map).surroundings(
-            snapshot, karts, ALL_LOOKS, (_KARTS, _ITEMS)
-        )
+        around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
         if self._sees_line:
             ahead = source.ground_ahead(karts)
             line = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
@@ -206,8 +204,6 @@ def _fitted(
     """Returns the chosen entries of an array ``(A, N, ...)``, or all, padded to ``size``."""
     if chosen is not None:
         return array[np.arange(len(array))[:, None], chosen]
-    if array.shape[1] == size:
-        return array
     fitted = np.full((len(array), size, *array.shape[2:]), blank, array.dtype)
     fitted[:, : array.shape[1]] = array
     return fitted

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import pytest
 
@@ -55,9 +56,10 @@ def test_documented_options_of_the_reference_are_second_names_of_stkzoos(command
     parser = choices_of(build_parser(command))[command]
     options, text = options_of(parser), parser.format_help()
     aliases = {"video": "record", "width": "screen-width", "height": "screen-height"}
+    value = "" if sys.version_info >= (3, 13) else " [A-Z]+"  # shown once, or with each name
     for name, alias in aliases.items():
         assert options[f"--{name}"] is options[f"--{alias}"]
-        assert re.search(rf"--{name}( [A-Z]+)?, --{alias} [A-Z]+", text)
+        assert re.search(rf"--{name}{value}, --{alias} [A-Z]+", text)
 
 
 @pytest.mark.slow

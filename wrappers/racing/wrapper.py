@@ -146,11 +146,7 @@ class RoadObserver:
         observe_racing(self._road, KERNEL_TABLES, snapshot.data, karts, rows, views)
 
     def surroundings(
-        self,
-        snapshot: Snapshot,
-        karts: IntArray,
-        looks: FloatArray = LOOKS,
-        least: tuple[int, int] = (0, 0),
+        self, snapshot: Snapshot, karts: IntArray, looks: FloatArray = LOOKS
     ) -> Surroundings:
         """Returns the surroundings of some karts.
 
@@ -158,16 +154,14 @@ class RoadObserver:
             snapshot: current snapshot of the race.
             karts: ``(A,)`` indices of the karts.
             looks: ``(L,)`` distances at which the road is observed [m].
-            least: numbers of karts and items for which there is room at least.
         """
         count = len(karts)
-        num_karts, num_items = map(max, least, (len(snapshot.karts), len(snapshot.items)))
         arrays = (
             np.empty((count, OWN_SIZE), np.float32),
             np.empty((count, len(looks), 4), np.float32),
-            np.empty((count, num_karts, 3), np.float32),
-            np.empty((count, num_items, 3), np.float32),
-            np.empty((count, num_items), np.int64),
+            np.empty((count, len(snapshot.karts), 3), np.float32),
+            np.empty((count, len(snapshot.items), 3), np.float32),
+            np.empty((count, len(snapshot.items)), np.int64),
         )
         looks = np.ascontiguousarray(looks, np.float32)
         look_around(self._road, snapshot.data, karts, looks, arrays)
