@@ -248,17 +248,15 @@ class Episode:
     def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
         """Sets all counters to zero."""
         of_agent = [*rewards.values()]
-        self._rewards = [*{id(reward): reward for reward in of_agent}.values()]
-        numbers = {id(reward): number for number, reward in enumerate(self._rewards)}
-        self._reward_of = np.array([numbers[id(reward)] for reward in of_agent], np.intp)
-        names = sorted({name for reward in self._rewards for name in reward.terms})
-        self._columns = {name: column for column, name in enumerate(names)}
+        different = {id(reward): reward for reward in of_agent}.values()
+        names = sorted({name for reward in different for name in reward.terms})
         self._custom = [
-            (number, name)
-            for number, reward in enumerate(self._rewards)
+            (reward, name, np.flatnonzero([other is reward for other in of_agent]), names.index(name))
+            for reward in different
             for name, term in reward.terms.items()
             if not isinstance(term, KernelTerm)
         ]
+        self._rewards = tuple(_kernel_part(reward, names) for reward in of_agent)
         self._num_steps, self._max_cycles = 0, options.max_cycles
         endings = Endings(options, len(of_agent))
         self._endings = endings if endings.are_chosen else None
@@ -292,28 +290,31 @@ class Episode:
         if not self._custom:
             return
         step = Transition(before, after, self._race_length, self._shown_events)
-        for number, name in self._custom:
-            agents = np.flatnonzero(self._reward_of == number)
-            values = self._rewards[number].value(name, step)[self._karts[agents]]
-            self._last[agents, self._columns[name]] = values
+        for reward, name, agents, column in self._custom:
+            self._last[agents, column] = reward.value(name, step)[self._karts[agents]]
 
     def _make_scorer(self) -> None:
         """Makes the scorer, which shares memory with other arrays, and arrays for its results."""
-        count, karts = len(self._reward_of), self._karts[: len(self._reward_of)]
+        count = len(self._rewards)
+        karts = self._karts[:count]
         self._table = InfoTable(self.info_keys, count)
         terminations, truncations = np.zeros((2, count), np.bool_)
         self.ends: EndArrays = np.zeros(count), terminations, truncations
-        rewards = []
-        for reward in self._rewards:
-            terms = [(n, t) for n, t in reward.terms.items() if isinstance(t, KernelTerm)]
-            weights = np.array([reward.weights.get(name, 1.0) for name, _ in terms], np.float64)
-            columns = np.array([self._columns[name] for name, _ in terms], np.intp)
-            rewards.append((tuple(term.name for _, term in terms), weights, columns))
         events = self._shown_events
         if events is None:
             events = np.zeros((int(karts.max()) + 1, 0))
         numbers = self._last, self._sums, self._race_length
-        self._scorer = StepScorer(karts, self._reward_of, *numbers, tuple(rewards), events)
+        self._scorer = StepScorer(karts, *numbers, self._rewards, events)
+
+
+def _kernel_part(
+    reward: Reward, names: Sequence[str]
+) -> tuple[tuple[str, ...], FloatArray, IntArray]:
+    """Returns the built-in terms of a reward, their weights, and their columns among all terms."""
+    terms = {name: term for name, term in reward.terms.items() if isinstance(term, KernelTerm)}
+    weights = np.array([reward.weights.get(name, 1.0) for name in terms], np.float64)
+    columns = np.array([names.index(name) for name in terms], np.intp)
+    return tuple(term.name for term in terms.values()), weights, columns
 
 
 class Endings:

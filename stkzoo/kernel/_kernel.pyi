@@ -271,12 +271,11 @@ class StepScorer:
 
     Args:
         karts: ``(A,)`` kart of each agent.
-        reward_of: ``(A,)`` number of each agent's reward.
         last: ``(A, C)`` reward terms and events of the latest step, which :meth:`score_into`
             writes.
         sums: ``(A, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
         race_length: number of laps times the length of a lap [m].
-        rewards: for each reward the names of its terms, their weights, and their columns in
+        rewards: for each agent the names of its reward's terms, their weights, and their columns in
             ``last``. The caller writes the terms that are Python functions into ``last``.
         events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
             of ``last``.
@@ -285,7 +284,6 @@ class StepScorer:
     def __new__(
         cls,
         karts: npt.NDArray[np.intp],
-        reward_of: npt.NDArray[np.intp],
         last: npt.NDArray[np.float64],
         sums: npt.NDArray[np.float64],
         race_length: float,

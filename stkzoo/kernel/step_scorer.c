@@ -23,13 +23,12 @@ typedef struct {
 
 typedef struct {
     OBJECT_HEAD
-    Indices karts, reward_of; /* (A,) each agent's kart, and its reward */
+    Indices karts;            /* (A,) each agent's kart */
     Doubles last, sums;       /* (A, C): reward terms, then events, of the step; their sums */
     Doubles events;           /* (K, E): events of all karts in the step */
     npy_intp num_columns, num_terms, num_events;
     double race_length;
-    Reward *rewards;
-    Py_ssize_t num_rewards;
+    Reward *rewards; /* (A,) */
 } StepScorer;
 
 /* ---------------------------------------------------------------- rewards */
@@ -173,12 +172,12 @@ static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
     return table.data + agent * self->num_columns;
 }
 
-/* Computes an agent's terms in a step and adds them to its sums. */
-static void score(const StepScorer *self, npy_intp agent, const Snapshot *before,
+/* Computes an agent's terms in a step and adds them to its sums. Returns the reward. */
+static double score(const StepScorer *self, npy_intp agent, const Snapshot *before,
                   const Snapshot *after)
 {
     const Race race = {after->header->num_kart, self->race_length};
-    const Reward *reward = self->rewards + self->reward_of.data[agent];
+    const Reward *reward = self->rewards + agent;
     const npy_intp kart = self->karts.data[agent];
     double *last = row_of(self, self->last, agent), *sums = row_of(self, self->sums, agent);
     for (npy_intp t = 0; t < reward->weights.size; t++) {
@@ -188,7 +187,12 @@ static void score(const StepScorer *self, npy_intp agent, const Snapshot *before
     }
     memcpy(last + self->num_terms, self->events.data + kart * self->num_events,
            (size_t)self->num_events * sizeof *last);
-    for (npy_intp c = 0; c < self->num_columns; c++) sums[c] += last[c];
+    double total = 0;
+    for (npy_intp c = 0; c < self->num_columns; c++) {
+        if (c < self->num_terms) total += last[c];
+        sums[c] += last[c];
+    }
+    return total;
 }
 
 /* ---------------------------------------------------------------- results */
@@ -212,14 +216,6 @@ static void write_info(const StepScorer *self, npy_intp agent, const Kart *kart,
         *numbers = sums[c];
     }
     *numbers = total;
-}
-
-static double total_of(const StepScorer *self, npy_intp agent)
-{
-    double total = 0;
-    const double *last = row_of(self, self->last, agent);
-    for (npy_intp c = 0; c < self->num_terms; c++) total += last[c];
-    return total;
 }
 
 static int is_of_this_race(const StepScorer *self, const Snapshot *snapshot)
@@ -265,9 +261,8 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
     }
     for (npy_intp i = 0; i < slots.size; i++) {
         const npy_intp agent = who.data[i], slot = slots.data[i];
-        score(self, agent, &before, &after);
         const npy_bool has_ended = after.karts[self->karts.data[agent]].has_finished_race > 0;
-        rewards.data[slot] = total_of(self, agent);
+        rewards.data[slot] = score(self, agent, &before, &after);
         ended.data[slot] = has_ended;
         cut.data[slot] = is_over && !has_ended;
     }
@@ -337,32 +332,30 @@ static int set_columns(StepScorer *self, PyArrayObject *sums, PyArrayObject *eve
     self->num_terms = self->num_columns - self->num_events;
     const npy_intp sizes[][2] = {
         {PyArray_DIM(sums, 0), self->karts.size},
-        {self->reward_of.size, self->karts.size},
         {self->last.size, self->sums.size},
-        {self->num_terms >= 0 && are_below(self->reward_of, self->num_rewards), 1},
-        {are_below(self->karts, PyArray_DIM(events, 0)), 1},
+        {self->num_terms >= 0 && are_below(self->karts, PyArray_DIM(events, 0)), 1},
     };
     return ARE_SIZES(sizes);
 }
 
-/* StepScorer(karts, reward_of, last, sums, race_length, rewards, events): `rewards` is a tuple of
-   tuples for set_reward(). */
+/* StepScorer(karts, last, sums, race_length, rewards, events): `rewards` has a tuple for set_reward()
+   for each agent. */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O&O&O&O&dO!O&", as_indices, &self->karts, as_indices,
-                          &self->reward_of, as_written_doubles, &self->last, as_written_doubles,
-                          &self->sums, &self->race_length, &PyTuple_Type, &rewards,
-                          as_written_doubles, &self->events)) {
+    if (!PyArg_ParseTuple(args, "O&O&O&dO!O&", as_indices, &self->karts, as_written_doubles,
+                          &self->last, as_written_doubles, &self->sums, &self->race_length,
+                          &PyTuple_Type, &rewards, as_written_doubles, &self->events)) {
         return -1;
     }
-    self->num_rewards = PyTuple_GET_SIZE(rewards);
-    if (set_columns(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 3),
-                    (PyArrayObject *)PyTuple_GET_ITEM(args, 6)) < 0 ||
-        !(self->rewards = room_for(self, self->num_rewards, sizeof *self->rewards))) {
+    const Py_ssize_t count = PyTuple_GET_SIZE(rewards);
+    if (count != self->karts.size) return refuse("expected a reward for each agent");
+    if (set_columns(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 2),
+                    (PyArrayObject *)PyTuple_GET_ITEM(args, 5)) < 0 ||
+        !(self->rewards = room_for(self, count, sizeof *self->rewards))) {
         return -1;
     }
-    for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
+    for (Py_ssize_t i = 0; i < count; i++) {
         if (set_reward(self, self->rewards + i, PyTuple_GET_ITEM(rewards, i)) < 0) return -1;
     }
     return 0;

@@ -100,14 +100,13 @@ class StepScorer:
     def __init__(
         self,
         karts: IntArray,
-        reward_of: IntArray,
         last: FloatArray,
         sums: FloatArray,
         race_length: float,
         rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
-        self._karts, self._reward_of, self._last, self._sums = karts, reward_of, last, sums
+        self._karts, self._last, self._sums = karts, last, sums
         self._race_length, self._rewards = race_length, rewards
         self._events, self._num_terms = events, last.shape[1] - events.shape[1]
 
@@ -123,11 +122,10 @@ class StepScorer:
         truncations: BoolArray,
     ) -> None:
         step = Transition(Snapshot(before), Snapshot(after), self._race_length)
-        for number, (terms, weights, columns) in enumerate(self._rewards):
-            own = who[self._reward_of[who] == number]
-            for term, weight, column in zip(terms, weights, columns, strict=True):
+        for agent in who:
+            for term, weight, column in zip(*self._rewards[agent], strict=True):
                 values = np.asarray(TERMS[term](step), np.float64)
-                self._last[own, column] = weight * values[self._karts[own]]
+                self._last[agent, column] = weight * values[self._karts[agent]]
         self._last[who, self._num_terms :] = self._events[self._karts[who]]
         self._last[np.setdiff1d(np.arange(len(self._karts)), who)] = 0.0
         self._sums += self._last
