@@ -251,7 +251,12 @@ class Episode:
         different = {id(reward): reward for reward in of_agent}.values()
         names = sorted({name for reward in different for name in reward.terms})
         self._custom = [
-            (reward, name, np.flatnonzero([other is reward for other in of_agent]), names.index(name))
+            (
+                reward,
+                name,
+                np.flatnonzero([other is reward for other in of_agent]),
+                names.index(name),
+            )
             for reward in different
             for name, term in reward.terms.items()
             if not isinstance(term, KernelTerm)

@@ -93,7 +93,7 @@ def draw_race(
         karts[index] = KartSetup(
             is_bot=agent.use_ai,
             reports_control=agent.use_ai and number < len(agents),
-            kart=agent.kart,
+            kart=agent.kart or "",
             name=agent.name,
             color=float(agent.color),
             camera_mode=int(cameras[number]),

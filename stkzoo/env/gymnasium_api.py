@@ -24,6 +24,7 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.front import RaceFront, RaceOption
 from stkzoo.env.keyboard import keys_to_action
+from stkzoo.env.options import use_known_karts
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import Started
 from stkzoo.env.rendering import RENDER_MODES
@@ -46,14 +47,6 @@ class _TrackNames:
 
     def __get__(self, instance: object, owner: type | None = None) -> list[str]:
         return list(find_assets().tracks)
-
-
-class _RaceOfAnyKart(RaceParallelEnv):
-    """A race in which the game's default kart replaces unknown ones, as in pystk2-gymnasium."""
-
-    def __init__(self, **options: Any) -> None:
-        self._unknown_karts = set()
-        super().__init__(**options)
 
 
 class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
@@ -101,7 +94,10 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
         self._has_max_cycles = "max_cycles" in options
         options.setdefault("max_cycles", None)
         options["reward"] = RewardOver("reference", options.get("reward"))
-        self.core: RaceParallelEnv = _RaceOfAnyKart(agents=agents, **options)
+        if isinstance(agents, Sequence) and not isinstance(agents, str):
+            agents = specs = [AgentSpec.of(agent, f"agent {n}") for n, agent in enumerate(agents)]
+            use_known_karts(specs, find_assets().karts)
+        self.core = RaceParallelEnv(agents=agents, **options)
         self.live_race = self.core.live_race
         self._last_step: tuple[Snapshot | None, GymnasiumStep | None] = None, None
         self._has_warned_of_end = False
@@ -186,6 +182,7 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
         self.spec = state["spec"]
 
     def _reset_core(self, seed: int | None, options: Mapping[str, Any] | None) -> Started:
+        use_known_karts(self.core.specs, self.live_race.assets.karts)
         result = self.core.reset(seed, options)
         has_max_cycles = self._has_max_cycles or self.max_cycles is not None
         follow_max_cycles(self, has_max_cycles, options or {})

@@ -128,28 +128,35 @@ class RaceOpponents:
         self,
         random: np.random.Generator,
         difficulty: int | None,
-        are_game_ai: Sequence[bool] = (),
+        are_game_ai: Sequence[bool] | None = None,
     ) -> tuple[tuple[Driver, ...], int | None]:
         """Draws the drivers of a race, and returns them and the difficulty that they require.
 
         Args:
             random: random generator.
             difficulty: difficulty requested in ``reset``, if any.
-            are_game_ai: for each opponent, whether a pool draws the game's AI for it; for opponents
-                beyond this list, both kinds are drawn.
+            are_game_ai: whether each opponent of a scenario is the game's AI; ``None`` without a
+                scenario.
 
         Raises:
-            ConfigError: the opponents require another difficulty.
+            ConfigError: the opponents require another difficulty, or are not those of the scenario.
         """
         members = self.choice.members(len(self._ids))
         level = self.choice.level(difficulty)
         drawn: list[Driver] = []
-        for member, is_game_ai in zip(members, chain(are_game_ai, repeat(None)), strict=False):
+        kinds = chain(are_game_ai or (), repeat(None))
+        for member, is_game_ai in zip(members, kinds, strict=False):
             driver = (
                 member if isinstance(member, Driver) else member.draw(random, level, is_game_ai)
             )
             drawn.append(driver)
             level = level if driver.difficulty is None else driver.difficulty
+        if are_game_ai is not None and are_game_ai != [driver.is_game_ai for driver in drawn]:
+            raise ConfigError(
+                f"the scenario has {len(are_game_ai)} opponents, {sum(are_game_ai)} of them driven "
+                "by the game; this environment has different ones; create one with the same "
+                "opponents"
+            )
         return tuple(drawn), level
 
     def specs(self, drivers: Sequence[Driver]) -> list[AgentSpec]:
@@ -176,16 +183,10 @@ class RaceOpponents:
             opponent = self.present[agent] = Opponent(request, driver, full_with(driver.extras))
             self.attempt(opponent, partial(self._start, opponent))
         self._chains = self._chains_here()
+        observations: dict[str, Any] = {}
         for opponent in [*self.present.values()]:
-            self.attempt(opponent, partial(self._get_ready, opponent))
-        self._observations = None
-        while self._observations is None:
-            infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.present}
-            seats = episode.seats(tuple(infos))
-            try:
-                self._observations, _ = self._chains.reset(seats, episode, infos, seed=seed)
-            except AgentException as error:
-                self.retire(self.present[str(error.key)], error)
+            self.attempt(opponent, partial(self._get_ready, opponent, episode, observations))
+        self._observations = observations
 
     def moment(self, episode: Episode) -> OpponentsMoment:
         """Returns the current state of the opponents as a value.
@@ -193,12 +194,9 @@ class RaceOpponents:
         Raises:
             AgentException: an opponent's state cannot be copied.
         """
-        self._look(episode)
-        return OpponentsMoment(
-            tuple(opponent.copy() for opponent in self.present.values()),
-            copy.deepcopy(self._observations or {}),
-            self._chains.memory(),
-        )
+        seen = copy.deepcopy(self._look(episode))
+        opponents = tuple(opponent.copy() for opponent in self.present.values())
+        return OpponentsMoment(opponents, seen, self._chains.memory())
 
     def go_on_from(self, moment: OpponentsMoment) -> None:
         """Continues from a :meth:`moment` of this or another environment."""
@@ -223,14 +221,20 @@ class RaceOpponents:
             opponent.code = self.choice.code(driver)
             opponent.view = opponent.code.wrap or self._view
 
-    def _get_ready(self, opponent: Opponent) -> None:
+    def _get_ready(
+        self, opponent: Opponent, episode: Episode, observations: dict[str, Any]
+    ) -> None:
+        """Waits for an opponent, and adds its first observation to those of all."""
+        agent, code = opponent.agent, opponent.code
         if opponent.instance is not None:
             opponent.instance.ready()
-        elif (code := opponent.code) is not None:
-            seen = self._chains.observation_spaces[opponent.agent]
-            acted = self._chains.action_spaces[opponent.agent]
+        elif code is not None:
+            spaces = self._chains.observation_spaces[agent], self._chains.action_spaces[agent]
             with code.scope:
-                opponent.actor = code.make_actor(seen, acted, opponent.request.seed)
+                opponent.actor = code.make_actor(*spaces, opponent.request.seed)
+        seats = episode.seats((agent,))
+        seen, _ = self._chains.reset(seats, episode, {agent: {}}, seed=episode.race.seed)
+        observations |= seen
 
     def _chains_here(self) -> AgentChains:
         """Builds the opponents' views and removes opponents whose wrappers fail.
@@ -287,13 +291,11 @@ class RaceOpponents:
 
         Drivers in other processes start to compute their actions.
         """
-        self._look(episode)
-        seen = self._observations or {}
-        asked = [*self.present.values()]
-        for opponent in asked:
+        seen = self._look(episode)
+        for opponent in [*self.present.values()]:
             if opponent.instance is not None:
                 self.attempt(opponent, partial(opponent.instance.ask, seen[opponent.agent]))
-        return [(each, seen[each.agent]) for each in asked if each.agent in self.present]
+        return [(opponent, seen[agent]) for agent, opponent in self.present.items()]
 
     def write(self, actions: Mapping[str, Any], episode: Episode, controls: Controls) -> None:
         """Writes the opponents' controls.
@@ -306,7 +308,7 @@ class RaceOpponents:
         while True:
             seats = episode.seats(tuple(self.present))
             try:
-                decoded = self._chains.decode(actions, seats, episode)
+                decoded = self._chains.convert(self._chains.check(actions, seats), episode)
                 break
             except (ActionError, AgentError) as error:
                 agent = error.agent if isinstance(error, ActionError) else error.key
@@ -314,9 +316,10 @@ class RaceOpponents:
         controls[seats.rows] = decoded[seats.rows]
         self._observations = None
 
-    def _look(self, episode: Episode) -> None:
-        """Updates the observations of the opponents that are still racing."""
-        if self._observations is None:
+    def _look(self, episode: Episode) -> dict[str, Any]:
+        """Returns the current observations of the opponents that are still racing."""
+        seen = self._observations
+        if seen is None:
             seats = episode.seats(tuple(self.present))
             seen = self._chains.observe(seats, episode)
             infos: dict[str, dict[str, Any]] = {agent: {} for agent in seats.agents}
@@ -333,6 +336,7 @@ class RaceOpponents:
             for agent, kart in zip(seats.agents, seats.karts.tolist(), strict=True):
                 if finished[kart]:
                     self._remove(agent)
+        return seen
 
 
 def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> None:
@@ -347,14 +351,11 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
     """
     actions: list[dict[str, Any]] = [{} for _ in races]
     groups: dict[int, list[tuple[int, Opponent, Any]]] = {}
-    elsewhere: list[tuple[int, Opponent]] = []
     for number, (race, episode, _) in enumerate(races):
         for opponent, seen in race.ask(episode):
-            if opponent.instance is not None:
-                elsewhere.append((number, opponent))
-            else:
-                groups.setdefault(opponent.group, []).append((number, opponent, seen))
-    for group in groups.values():
+            groups.setdefault(opponent.group, []).append((number, opponent, seen))
+    # Drivers in other processes compute their actions meanwhile.
+    for group in sorted(groups.values(), key=lambda group: group[0][1].instance is not None):
         try:
             picked = _picked([member for _, member, _ in group], [seen for *_, seen in group])
         except (Exception, SystemExit) as error:  # noqa: BLE001, PERF203 - the driver's own code
@@ -363,18 +364,15 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
         else:
             for (number, opponent, _), action in zip(group, picked, strict=True):
                 actions[number][opponent.agent] = action
-    for number, opponent in elsewhere:
-        assert opponent.instance is not None  # noqa: S101 - see above
-        decision = races[number][0].attempt(opponent, opponent.instance.answer)
-        if decision is not None:
-            actions[number][opponent.agent] = decision.action
     for (race, episode, controls), acted in zip(races, actions, strict=True):
         race.write(acted, episode, controls)
 
 
 def _picked(opponents: Sequence[Opponent], seen: Sequence[Any]) -> Sequence[Any]:
     """Returns the actions of a group of opponents."""
-    code = opponents[0].code
+    code, instance = opponents[0].code, opponents[0].instance
+    if instance is not None:
+        return [instance.answer().action]
     assert code is not None  # noqa: S101 - it runs in this program
     actors: list[Any] = [opponent.actor for opponent in opponents]
     with code.scope:

@@ -158,19 +158,13 @@ class RaceOptions:
         return tuple(chosen)
 
 
-def check_agents(
-    agents: Sequence[AgentSpec],
-    num_kart: int,
-    karts: Sequence[str],
-    unknown_karts: set[str] | None = None,
-) -> None:
+def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str]) -> None:
     """Checks the agents' options.
 
     Args:
         agents: the agents.
         num_kart: number of karts in the race.
         karts: all kart models in the game's data.
-        unknown_karts: see :func:`known_kart`.
 
     Raises:
         ConfigError: an option is invalid.
@@ -186,7 +180,8 @@ def check_agents(
         if agent.rank_start is not None:
             check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
         check_number(f"color of agent {index}", agent.color, 0.0, 1.0)
-        known_kart(agent.kart, karts, unknown_karts)
+        if agent.kart and agent.kart not in karts:
+            raise unknown_name("kart", agent.kart, karts)
         check_type(f"name of agent {index}", agent.name, str, "a string")
         camera_mode(agent)
     taken = [agent.rank_start for agent in agents if agent.rank_start is not None]
@@ -195,28 +190,18 @@ def check_agents(
             raise ConfigError(f"several agents have rank_start={rank}, expected different places")
 
 
-def known_kart(kart: str | None, karts: Sequence[str], unknown_karts: set[str] | None) -> str:
-    """Returns the name of a kart model, or an empty string for the game's default.
+def use_known_karts(agents: Sequence[AgentSpec], karts: Sequence[str]) -> None:
+    """Selects the game's default kart in place of unknown ones, with a warning for each.
 
     Args:
-        kart: the name; ``None`` and an empty string select the default.
+        agents: options of the agents; changed in place.
         karts: all kart models in the game's data.
-        unknown_karts: unknown names that a warning has reported. They select the default too.
-            ``None`` makes them errors.
-
-    Raises:
-        ConfigError: the model is unknown.
     """
-    if not kart or kart in karts:
-        return kart or ""
-    error = unknown_name("kart", kart, karts)
-    if unknown_karts is None or not isinstance(kart, str):
-        raise error
-    if kart not in unknown_karts:
-        unknown_karts.add(kart)
-        problem = str(error).partition(" Choose")[0]
-        warnings.warn(f"{problem} The game's default kart races instead.", stacklevel=2)
-    return ""
+    for agent in agents:
+        if agent.kart and isinstance(agent.kart, str) and agent.kart not in karts:
+            problem = str(unknown_name("kart", agent.kart, karts)).partition(" Choose")[0]
+            warnings.warn(f"{problem} The game's default kart races instead.", stacklevel=3)
+            agent.kart = ""
 
 
 def camera_mode(agent: AgentSpec) -> CameraMode:

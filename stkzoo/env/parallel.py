@@ -90,7 +90,6 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         "render_fps": 10,
         "is_parallelizable": True,
     }
-    _unknown_karts: set[str] | None = None
 
     def __init__(
         self,
@@ -139,7 +138,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         rendering = Rendering(render_mode, render_backend, render_size, graphics_config)
         assets = find_assets()
         options.tracks(assets.tracks)
-        check_agents(specs, num_kart, assets.karts, self._unknown_karts)
+        check_agents(specs, num_kart, assets.karts)
         self.possible_agents = [f"kart_{index}" for index in range(len(specs))]
         rewards = rewards_of_agents(reward, self.possible_agents)
         cameras = RaceCameras(self.possible_agents)
@@ -166,7 +165,6 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             cameras=cameras,
             opponents=drivers,
             num_cameras=num_cameras,
-            unknown_karts=self._unknown_karts,
         )
 
     # ------------------------------------------------------------------ PettingZoo's API

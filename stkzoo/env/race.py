@@ -62,7 +62,6 @@ class Race:
         cameras: the agents' cameras.
         opponents: drivers of karts that are not agents, if there are any.
         num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
-        unknown_karts: see :func:`~stkzoo.env.options.known_kart`.
         possible_agents: ids of all agents.
         ai_agents: agents that the game's AI drives.
         agents: agents that are still racing.
@@ -84,7 +83,6 @@ class Race:
     cameras: RaceCameras
     opponents: RaceOpponents | None
     num_cameras: int
-    unknown_karts: set[str] | None = None
 
     def __post_init__(self) -> None:
         self.possible_agents = [*self.rewards]
@@ -127,8 +125,7 @@ class Race:
         """
         self.rendering.check()
         options = self.options.of_episode(asked, self.assets.tracks)
-        karts, num_kart = self.assets.karts, self.options.num_kart
-        check_agents(self.specs, num_kart, karts, self.unknown_karts)
+        check_agents(self.specs, self.options.num_kart, self.assets.karts)
         if self._agents_of_ai() != self.ai_agents:
             raise ConfigError(
                 "use_ai of an agent was changed after the environment was made, which would "
@@ -136,13 +133,13 @@ class Race:
             )
         with self.exchange():
             moment = self._asked_moment(asked)
-            if moment is None:
-                agents, self.episode = self.possible_agents, self._drawn(asked, options)
+            agents = self.possible_agents
+            if moment is not None:
+                agents = [agent for agent in agents if agent in moment.agents]
+            if isinstance(moment, RaceState):
+                self.episode = self._from_state(moment, options)
             else:
-                agents = [agent for agent in self.possible_agents if agent in moment.agents]
-                is_state = isinstance(moment, RaceState)
-                begin: Any = self._from_state if is_state else self._from_scenario
-                self.episode = begin(moment, options)
+                self.episode = self._begun(moment, options, asked)
             self.agents, self._stepping = [], None  # in case a wrapper fails
         seats = self.episode.seats(agents)
         infos = self.episode.infos(seats)
@@ -158,10 +155,10 @@ class Race:
             ApiOrderError: no agent was racing any more at the moment of a state or scenario.
             ConfigError: an option is unknown or invalid.
         """
-        self.options.of_episode(asked, self.assets.tracks)
+        options = self.options.of_episode(asked, self.assets.tracks)
         moment = self._asked_moment(asked)
         if isinstance(moment, Scenario):
-            self._drivers_in(moment, copy.deepcopy(self.np_random))
+            self._draw_opponents(options, asked, copy.deepcopy(self.np_random), moment)
         elif moment is None and self.opponents is not None:
             self.opponents.choice.level(asked.get("difficulty"))
 
@@ -216,7 +213,8 @@ class Race:
             EngineError: the game crashed or hung.
         """
         episode = self._resting("step")
-        controls = self.chains.decode(actions, episode.seats(self.agents), episode)
+        checked = self.chains.check(actions, episode.seats(self.agents))
+        controls = self.chains.convert(checked, episode)
         if self.opponents is not None:
             drive_opponents([self], [controls])
         self.send(controls)
@@ -409,11 +407,37 @@ class Race:
 
     # ------------------------------------------------------------------ beginnings of an episode
 
-    def _drawn(self, asked: Mapping[str, Any], options: RaceOptions) -> Episode:
-        """Draws a race and starts it."""
+    def _from_state(self, state: RaceState, options: RaceOptions) -> Episode:
+        """Starts an episode at a saved moment."""
+        state.resume_in(self.session)
+        self._go_on_with_opponents(state.moment)
+        return state.moment.episode.restarted(options, self.rewards)
+
+    def _begun(
+        self, scenario: Scenario | None, options: RaceOptions, asked: Mapping[str, Any]
+    ) -> Episode:
+        """Draws a race and starts it, or drives one to the moment of a scenario."""
         random = self.np_random
-        options, drivers, opponents = self._draw_opponents(options, asked, random)
+        options, drivers, specs = self._draw_opponents(options, asked, random, scenario)
         self._end()  # in case the start fails
+        if scenario is None:
+            setup, kart_indices, begun = self._start_drawn(options, specs, random)
+        else:
+            begun = scenario.reach(self.session)
+            setup = scenario.setup_with([spec.name for spec in specs])
+            kart_indices = (*scenario.kart_indices, *scenario.opponents)
+        root = self.assets.root
+        episode = Episode(options, setup, kart_indices, begun, self.rewards, root)
+        if self.opponents is not None:
+            self.opponents.begin(drivers, episode)
+        for row in () if scenario is None else scenario.controls:
+            episode.remember(row)
+        return episode
+
+    def _start_drawn(
+        self, options: RaceOptions, opponents: Sequence[AgentSpec], random: np.random.Generator
+    ) -> tuple[RaceSetup, tuple[int, ...], RaceStart]:
+        """Draws races until one starts; returns its setup, its kart indices and its start."""
         for draws_left in reversed(range(MAX_START_DRAWS)):
             setup, kart_indices = self._draw(options, opponents, random)
             try:
@@ -422,72 +446,33 @@ class Race:
             except ConfigError:  # a place where no kart can stand
                 if not draws_left or not is_random(options.start):
                     raise
-        return self._new_episode(options, setup, kart_indices, begun, drivers)
-
-    def _from_state(self, state: RaceState, options: RaceOptions) -> Episode:
-        """Starts an episode at a saved moment."""
-        state.resume_in(self.session)
-        self._go_on_with_opponents(state.moment)
-        return state.moment.episode.restarted(options, self.rewards)
-
-    def _from_scenario(self, scenario: Scenario, options: RaceOptions) -> Episode:
-        """Drives a race to the moment of a scenario."""
-        drivers = self._drivers_in(scenario, self.np_random)
-        self._end()  # in case the start fails
-        begun = scenario.reach(self.session)
-        specs = [] if self.opponents is None else self.opponents.specs(drivers)
-        setup = scenario.setup_with([spec.name for spec in specs])
-        kart_indices = (*scenario.kart_indices, *scenario.opponents)
-        episode = self._new_episode(options, setup, kart_indices, begun, drivers)
-        for row in scenario.controls:
-            episode.remember(row)
-        return episode
-
-    def _new_episode(
-        self,
-        options: RaceOptions,
-        setup: RaceSetup,
-        kart_indices: tuple[int, ...],
-        begun: RaceStart,
-        drivers: Sequence[Driver],
-    ) -> Episode:
-        root = self.assets.root
-        episode = Episode(options, setup, kart_indices, begun, self.rewards, root)
-        if self.opponents is not None:
-            self.opponents.begin(drivers, episode)
-        return episode
+        return setup, kart_indices, begun
 
     def _draw(
         self, options: RaceOptions, opponents: Sequence[AgentSpec], random: np.random.Generator
     ) -> tuple[RaceSetup, tuple[int, ...]]:
         tracks = options.tracks(self.assets.tracks)
         has_window = self.rendering.mode == "human"
-        karts = self.assets.karts
-        specs = [spec if spec.kart in karts else replace(spec, kart="") for spec in self.specs]
-        return draw_race(options, specs, tracks, self.num_cameras, has_window, random, opponents)
+        cameras = self.num_cameras
+        return draw_race(options, self.specs, tracks, cameras, has_window, random, opponents)
 
     def _draw_opponents(
-        self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator
+        self,
+        options: RaceOptions,
+        asked: Mapping[str, Any],
+        random: np.random.Generator,
+        scenario: Scenario | None = None,
     ) -> tuple[RaceOptions, tuple[Driver, ...], list[AgentSpec]]:
         """Draws the opponents; returns the race's options, the drivers and their specs."""
         if self.opponents is None:
             return options, (), []
-        drivers, level = self.opponents.draw(random, asked.get("difficulty"))
+        difficulty, bots = asked.get("difficulty"), None
+        if scenario is not None:
+            difficulty = scenario.setup.difficulty
+            bots = [scenario.setup.karts[kart].is_bot for kart in scenario.opponents]
+        drivers, level = self.opponents.draw(random, difficulty, bots)
         options = options if level is None else replace(options, difficulty=level)
         return options, drivers, self.opponents.specs(drivers)
-
-    def _drivers_in(self, scenario: Scenario, random: np.random.Generator) -> tuple[Driver, ...]:
-        """Draws the drivers of a scenario's opponents, which start at its moment."""
-        if self.opponents is None:
-            return ()
-        bots = [scenario.setup.karts[kart].is_bot for kart in scenario.opponents]
-        drivers, _ = self.opponents.draw(random, scenario.setup.difficulty, bots)
-        if bots != [driver.is_game_ai for driver in drivers]:
-            raise ConfigError(
-                f"the scenario has {len(bots)} opponents, {sum(bots)} of them driven by the game; "
-                "this environment has different ones; create one with the same opponents"
-            )
-        return drivers
 
     def _asked_moment(self, asked: Mapping[str, Any]) -> RaceState | Scenario | None:
         """Returns the saved state or scenario at which an episode is to start, if any."""

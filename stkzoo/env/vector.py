@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,7 +15,7 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.ids import MAX_EPISODE_STEPS
-from stkzoo.env.options import known_kart
+from stkzoo.env.options import use_known_karts
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.rows import is_of_fixed_size
 from stkzoo.mdp.rewards import RewardOver
@@ -55,13 +54,8 @@ def single_kart_races(
         is_shorter = max_cycles is None or limit < check_whole("max_cycles", max_cycles, 1)
         race["max_cycles"] = limit if is_shorter else max_cycles
     spec = AgentSpec() if agent is None else AgentSpec.of(agent)
-    kart = known_kart(spec.kart, find_assets().karts, set())
-    return RaceVectorEnv(
-        num_envs,
-        view=view,
-        agents=[replace(spec, kart=kart)],
-        **race,
-    )
+    use_known_karts([spec], find_assets().karts)
+    return RaceVectorEnv(num_envs, view=view, agents=[spec], **race)
 
 
 def make_stkrace_vec(
