@@ -23,12 +23,12 @@ from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.front import RaceFront, RaceOption
+from stkzoo.env.ids import RaceSpec, follow_max_cycles
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.options import use_known_karts
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import Started
 from stkzoo.env.rendering import RENDER_MODES
-from stkzoo.env.time_limit import RaceSpec, follow_max_cycles
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import RewardOver

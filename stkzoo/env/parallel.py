@@ -19,12 +19,17 @@ from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
 from stkzoo.engine.setup import MAX_CAMERAS
-from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import rewards_of_agents
 from stkzoo.env.front import RaceFront
 from stkzoo.env.options import RaceOptions, check_agents, random_stream
 from stkzoo.env.race import Race
-from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
+from stkzoo.env.rendering import (
+    RENDER_MODES,
+    RaceCameras,
+    Rendering,
+    available_modes,
+    frame_rate,
+)
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.state import state_space
 from stkzoo.views import AgentChains, views_of_agents

@@ -18,11 +18,10 @@ from stkzoo.engine.assets import Assets
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import EndArrays, Episode
 from stkzoo.env.grid import draw_race, roster_of
 from stkzoo.env.options import RaceOptions, check_agents, random_stream
-from stkzoo.env.rendering import Rendering
+from stkzoo.env.rendering import RaceCameras, Rendering
 from stkzoo.env.scenario import Scenario, digest_of, read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.env.state import Moment, RaceState, check_beside, checked_state
@@ -37,7 +36,7 @@ from stkzoo.views.walker import StepParts
 if TYPE_CHECKING:
     from stkzoo.drivers import Driver
     from stkzoo.env.opponents import RaceOpponents
-    from stkzoo.env.vec.rows import SlotSteps
+    from stkzoo.env.vec.slots import SlotSteps
 
 Controls = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]

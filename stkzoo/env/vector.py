@@ -17,7 +17,7 @@ from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.options import use_known_karts
 from stkzoo.env.vec.env import RaceVectorEnv
-from stkzoo.env.vec.rows import is_of_fixed_size
+from stkzoo.env.vec.slots import is_of_fixed_size
 from stkzoo.mdp.rewards import RewardOver
 
 

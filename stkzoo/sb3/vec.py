@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo.env.vec.env import RaceVectorEnv
-from stkzoo.env.vec.rows import SlotInfos, SlotSteps
+from stkzoo.env.vec.slots import SlotInfos, SlotSteps
 from stkzoo.env.vec.starts import seeds_of_races
 from stkzoo.errors import ConfigError
 

@@ -11,7 +11,7 @@ USERS = {
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer", "split_batch"],
     "env.race": ["split_batch"],
-    "env.vec.rows": ["new_batch"],
+    "env.vec.slots": ["new_batch"],
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
     "wrappers.marl.observations": ["action_mask"],

@@ -17,8 +17,7 @@ from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import drive_opponents
-from stkzoo.env.vec.rows import BoolArray, SlotSteps, shared_space
-from stkzoo.env.vec.slots import RaceSlots
+from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps, shared_space
 from stkzoo.env.vec.starts import RepeatedStarts, seeds_of_races
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.views.actions import read_action
