@@ -23,16 +23,10 @@ from stkzoo.env.episode import rewards_of_agents
 from stkzoo.env.front import RaceFront
 from stkzoo.env.options import RaceOptions, check_agents, random_stream
 from stkzoo.env.race import Race
-from stkzoo.env.rendering import (
-    RENDER_MODES,
-    RaceCameras,
-    Rendering,
-    available_modes,
-    frame_rate,
-)
+from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.state import state_space
-from stkzoo.views import AgentChains, views_of_agents
+from stkzoo.views import views_of_agents
 from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
@@ -146,31 +140,27 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         check_agents(specs, num_kart, assets.karts)
         self.possible_agents = [f"kart_{index}" for index in range(len(specs))]
         rewards = rewards_of_agents(reward, self.possible_agents)
-        cameras = RaceCameras(self.possible_agents)
         views = views_of_agents(view, self.possible_agents)
-        ai_agents = {a for a, s in zip(self.possible_agents, specs, strict=True) if s.use_ai}
-        chains = AgentChains(views, ai_agents, cameras.by_agent)
-        self.observation_spaces = chains.observation_spaces
-        self.action_spaces = chains.action_spaces
         self.state_space = state_space(num_kart)
         drivers = None
         if choice is not None:
             from stkzoo.env.opponents import RaceOpponents
 
             drivers = RaceOpponents(choice, len(specs), num_opponents, next(iter(views.values())))
-        self.specs, self.ai_agents, self.cameras = specs, ai_agents, cameras
-        self.live_race = Race(
+        self.live_race = race = Race(
             options=options,
             specs=specs,
             rewards=rewards,
             assets=assets,
             new_session=partial(_session, assets, use_subprocess, engine_timeout),
-            chains=chains,
+            views=views,
             rendering=rendering,
-            cameras=cameras,
             opponents=drivers,
             num_cameras=num_cameras,
         )
+        self.specs, self.ai_agents, self.cameras = specs, race.ai_agents, race.cameras
+        self.observation_spaces = race.chains.observation_spaces
+        self.action_spaces = race.chains.action_spaces
 
     # ------------------------------------------------------------------ PettingZoo's API
 

@@ -31,6 +31,7 @@ from stkzoo.kernel import split_batch
 from stkzoo.mdp.rewards import Reward
 from stkzoo.views.chains import AgentChains, CheckedActions
 from stkzoo.views.plan import Seats
+from stkzoo.views.registry import ViewFactory
 from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
@@ -56,13 +57,14 @@ class Race:
         rewards: reward of each agent, in agent order.
         assets: the game's data.
         new_session: makes a session in which a game can run.
-        chains: views of the agents.
+        views: view of each agent.
         rendering: renders the race.
-        cameras: the agents' cameras.
         opponents: drivers of karts that are not agents, if there are any.
         num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
         possible_agents: ids of all agents.
         ai_agents: agents that the game's AI drives.
+        cameras: the agents' cameras.
+        chains: observations and actions of all agents in their views.
         agents: agents that are still racing.
         episode: the current episode; ``None`` before the first start.
         np_random: the random generator from which races are drawn.
@@ -77,22 +79,22 @@ class Race:
     rewards: Mapping[str, Reward]
     assets: Assets
     new_session: Callable[[], Session]
-    chains: AgentChains
+    views: Mapping[str, ViewFactory]
     rendering: Rendering
-    cameras: RaceCameras
     opponents: RaceOpponents | None
     num_cameras: int
 
     def __post_init__(self) -> None:
         self.possible_agents = [*self.rewards]
         self.ai_agents = self._agents_of_ai()
+        self.cameras = RaceCameras(self.possible_agents, weakref.proxy(self))
+        self.chains = AgentChains(self.views, self.ai_agents, self.cameras.by_agent)
         self.agents: list[str] = []
         self.episode: Episode | None = None
         self.np_random = random_stream(None)
         self.turn, self.is_copy = CallTurn(), False
         self.session = self.new_session()
         self.starts: AheadStarts | RepeatedStarts = AheadStarts(self.new_session)
-        self.cameras.race = weakref.proxy(self)
         self._stepping: Episode | None = None  # the episode with a running step
 
     def running(self, method: str) -> Episode:

@@ -180,15 +180,14 @@ class RaceCameras:
 
     Args:
         agents: ids of all agents.
+        race: the race, by a weak reference; also an attribute.
 
     Attributes:
         by_agent: the camera of each agent.
-        race: the race, by a weak reference.
     """
 
-    race: Race
-
-    def __init__(self, agents: Sequence[str]) -> None:
+    def __init__(self, agents: Sequence[str], race: Race) -> None:
+        self.race = race
         self.by_agent: dict[str, Camera] = {
             agent: _AgentCamera(self, number) for number, agent in enumerate(agents)
         }

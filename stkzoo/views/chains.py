@@ -225,32 +225,14 @@ class AgentChains:
         self.is_compiled = all(chain.is_empty for chain in self._chains.values())
         self.has_rows = self.is_compiled and all(plan.has_rows for plan in self._plans.values())
 
-    def decode(
-        self,
-        actions: Mapping[str, Any],
-        seats: Seats,
-        source: ObservationSource,
-    ) -> FloatArray:
-        """Converts the agents' actions to base actions: :meth:`check`, then :meth:`convert`.
+    def check(self, actions: Mapping[str, Any], seats: Seats) -> CheckedActions:
+        """Checks the agents' actions and changes nothing; :meth:`convert` converts them.
 
         Actions of agents without a seat are ignored.
 
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
             seats: the agents that act. Base actions of ignored agents are dropped.
-            source: the race at this moment.
-
-        Returns:
-            Controls ``(seats.num_rows, 7)`` float32. Rows without an agent are zeros.
-
-        Raises:
-            ActionError: an action is missing or not in its space.
-            AgentException: a wrapper failed.
-        """
-        return self.convert(self.check(actions, seats), source)
-
-    def check(self, actions: Mapping[str, Any], seats: Seats) -> CheckedActions:
-        """First half of :meth:`decode`, with its arguments: checks the actions, changes nothing.
 
         Raises:
             ActionError: an action is missing or not in its space.
@@ -285,7 +267,7 @@ class AgentChains:
             batch: an array with one row per slot, or a dict of such arrays.
             slots: slot of each agent.
             num_slots: number of slots in the batch.
-            seats: see :meth:`decode`.
+            seats: see :meth:`check`.
 
         Returns:
             The actions. ``None`` if an action is invalid or in an unusual form, which
@@ -302,14 +284,14 @@ class AgentChains:
         return CheckedActions(roster, controls, {}) if is_read else None
 
     def convert(self, checked: CheckedActions, source: ObservationSource) -> FloatArray:
-        """Second half of :meth:`decode`: runs the wrappers of the agents that act.
+        """Runs the wrappers of the agents that act, and returns their base actions.
 
         Args:
             checked: actions from :meth:`check` or :meth:`check_batch`; used up by this call.
-            source: see :meth:`decode`.
+            source: the race at this moment.
 
         Returns:
-            See :meth:`decode`.
+            Controls ``(seats.num_rows, 7)`` float32. Rows without an agent are zeros.
 
         Raises:
             ActionError: a wrapper returned an action outside its agent's base space.
@@ -390,7 +372,7 @@ class AgentChains:
         return observations, new_infos
 
     def finish(self, seats: Seats, parts: StepParts) -> None:
-        """Runs the second half of the wrappers' steps; call it once after each :meth:`decode`.
+        """Runs the second half of the wrappers' steps, once after each :meth:`convert`.
 
         Args:
             seats: the agents that acted.

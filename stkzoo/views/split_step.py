@@ -123,16 +123,7 @@ class SplitStep:
             Exception: any exception of the wrapper.
         """
         self._thread.start()
-        outcome, value = self._answers.get()
-        if outcome == "action":
-            return value
-        self._thread.join()
-        if outcome == "error":
-            raise value
-        raise RuntimeError(
-            "a wrapper's step returned without a call of its environment's step; the race "
-            "moves at every step, so every wrapper must pass an action on."
-        )
+        return self._answer("action")
 
     def finish(self, result: AgentStep) -> AgentStep:
         """Runs the rest of ``step`` with the environment's result; returns the wrapper's result.
@@ -141,11 +132,7 @@ class SplitStep:
             Exception: any exception of the wrapper.
         """
         self._results.put(result)
-        outcome, value = self._answers.get()
-        self._thread.join()
-        if outcome == "error":
-            raise value
-        answer: AgentStep = value
+        answer: AgentStep = self._answer("result")
         return answer
 
     def abandon(self) -> None:
@@ -169,6 +156,20 @@ class SplitStep:
         if result is None:
             raise _Abandoned
         return result
+
+    def _answer(self, expected: str) -> Any:
+        """Waits for the wrapper's action or result."""
+        outcome, value = self._answers.get()
+        if outcome != "action":
+            self._thread.join()
+        if outcome == "error":
+            raise value
+        if outcome != expected:
+            raise RuntimeError(
+                "a wrapper's step returned without a call of its environment's step; the race "
+                "moves at every step, so every wrapper must pass an action on."
+            )
+        return value
 
     def _run(self, step: Callable[[Any], AgentStep], action: Any) -> None:
         try:

@@ -15,7 +15,8 @@ from stkzoo.errors import ActionError, ConfigError
 from stkzoo.views import AgentChains
 
 PHASES = [
-    (AgentChains, "decode"),
+    (AgentChains, "check"),
+    (AgentChains, "convert"),
     (race, "drive_opponents"),
     (WorkerSession, "step_async"),
     (WorkerSession, "step_wait"),

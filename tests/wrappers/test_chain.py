@@ -45,7 +45,7 @@ class TenTimes(gym.RewardWrapper):
 def decode(chains, actions, agents):
     """Returns the base actions of the agents, one row each."""
     moment = RandomMoment(np.random.default_rng(0))
-    return chains.decode(actions, moment.seats(agents), moment)
+    return chains.convert(chains.check(actions, moment.seats(agents)), moment)
 
 
 def decoded(chains, actions, agents):
