@@ -91,9 +91,8 @@ class KartObserver:
         flat: whether all numbers form one vector and all choices another one.
         joined: number of values of each choice. If given, the choices are one-hot encoded and
             appended to the vector of numbers.
-        nitro: which actions press the nitro button. If given, observations have a mask of the
-            actions that have an effect.
-        fire: which actions fire.
+        uses: ``(2, n)``, which actions press nitro, and which fire. If given, observations have a
+            mask of the actions that have an effect.
 
     Raises:
         ValueError: the arguments do not fit together.
@@ -108,8 +107,7 @@ class KartObserver:
         polar: bool = False,
         flat: bool = False,
         joined: npt.NDArray[np.intp] | None = None,
-        nitro: npt.NDArray[np.bool_] | None = None,
-        fire: npt.NDArray[np.bool_] | None = None,
+        uses: npt.NDArray[np.bool_] | None = None,
     ) -> KartObserver: ...
     def observe(
         self,
@@ -334,16 +332,13 @@ class StepScorer:
                 its row of ``sums``, and the sum of its reward terms, which are written.
         """
 
-def action_mask(
-    energy: float, powerup: int, nitro: npt.NDArray[np.bool_], fire: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.int8]:
+def action_mask(energy: float, powerup: int, uses: npt.NDArray[np.bool_]) -> npt.NDArray[np.int8]:
     """Returns 1 for actions that have an effect, otherwise 0, ``(n,)`` int8.
 
     Args:
         energy: nitro in the kart's tank.
         powerup: number of its powerup; 0 for none.
-        nitro: ``(n,)`` actions that press nitro.
-        fire: ``(n,)`` actions that fire.
+        uses: ``(2, n)``, which actions press nitro, and which fire.
     """
 
 def reward_term(

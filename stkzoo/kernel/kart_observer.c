@@ -2,7 +2,7 @@
 
    KEYS lists the entries of the `full` view. The options of KartObserver replace the wrappers
    ConstantSizedObservations (items, karts, paths), PolarObservations (polar), FlattenerWrapper
-   (flat), JoinedObservations (joined) and ActionMasks (nitro, fire) of stkzoo.wrappers, which
+   (flat), JoinedObservations (joined) and ActionMasks (uses) of stkzoo.wrappers, which
    change observations of any environment. */
 
 #include "geometry.h"
@@ -20,7 +20,7 @@ typedef struct {
     Snapshot snapshot;
     int is_polar;
     npy_intp rows[NUM_GROUPS], real[NUM_GROUPS]; /* by group: number of rows, and number of those without padding */
-    Flags nitro, fire;
+    Flags uses;
     /* of the observing kart: */
     const Kart *me;
     const void *records[3]; /* by source: HEADER, KART, SCENE */
@@ -114,7 +114,7 @@ typedef struct {
     int is_polar, is_flat;
     int needs[NUM_GROUPS]; /* whether there are entries of each group */
     Indices joined;        /* one-hot length of each choice; empty if not joined */
-    Flags nitro, fire;     /* actions that need nitro, a powerup; empty: no mask */
+    Flags uses;            /* (2, n): whether an action needs nitro, and a powerup; empty: no mask */
 } KartObserver;
 
 /* ---------------------------------------------------------------- one kart's surroundings */
@@ -398,11 +398,13 @@ static PyObject *as_dict(KartObserver *observer, const Scene *scene)
 
 /* Writes 0 for actions without effect, which press nitro with an empty tank or fire without a
    powerup, and 1 for the others. */
-static void write_action_mask(float energy, int powerup, Flags nitro, Flags fire, npy_int8 *out)
+static void write_action_mask(float energy, int powerup, Flags uses, npy_int8 *out)
 {
     const int no_nitro = !(energy > 0), no_powerup = powerup == 0;
-    for (npy_intp i = 0; i < nitro.size; i++) {
-        out[i] = !((no_nitro && nitro.data[i]) || (no_powerup && fire.data[i]));
+    const npy_intp count = uses.size / 2;
+    const npy_bool *nitro = uses.data, *fire = nitro + count;
+    for (npy_intp i = 0; i < count; i++) {
+        out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
     }
 }
 
@@ -410,15 +412,11 @@ PyObject *action_mask(PyObject *Py_UNUSED(module), PyObject *args)
 {
     float energy;
     int powerup;
-    Flags nitro, fire;
-    if (!PyArg_ParseTuple(args, "fiO&O&", &energy, &powerup, as_flags, &nitro, as_flags, &fire)) {
-        return NULL;
-    }
-    if (nitro.size != fire.size) {
-        return PyErr_Format(PyExc_ValueError, "nitro and fire must have equal lengths");
-    }
-    PyObject *mask = PyArray_SimpleNew(1, &nitro.size, NPY_INT8);
-    if (mask) write_action_mask(energy, powerup, nitro, fire, PyArray_DATA((PyArrayObject *)mask));
+    Flags uses;
+    if (!PyArg_ParseTuple(args, "fiO&", &energy, &powerup, as_flags, &uses)) return NULL;
+    npy_intp count = uses.size / 2;
+    PyObject *mask = PyArray_SimpleNew(1, &count, NPY_INT8);
+    if (mask) write_action_mask(energy, powerup, uses, PyArray_DATA((PyArrayObject *)mask));
     return mask;
 }
 
@@ -428,7 +426,7 @@ static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
     const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
     if (key->group == ACTIONS) {
         const Kart *me = scene->me;
-        write_action_mask(me->energy, me->powerup_type, scene->nitro, scene->fire, out);
+        write_action_mask(me->energy, me->powerup_type, scene->uses, out);
         return;
     }
     for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
@@ -573,14 +571,14 @@ static int open_scene(const KartObserver *observer, Scene *scene, PyObject *args
         return -1;
     }
     const npy_intp there[] = {header->num_items, header->num_kart - 1, scene->num_paths, 1,
-                              observer->nitro.size};
+                              observer->uses.size / 2};
     for (int group = 0; group < NUM_GROUPS; group++) {
         const npy_intp size = observer->sizes[group];
         scene->rows[group] = size < 0 ? there[group] : size;
         scene->real[group] = size < 0 || there[group] < size ? there[group] : size;
     }
     scene->is_polar = observer->is_polar;
-    scene->nitro = observer->nitro, scene->fire = observer->fire;
+    scene->uses = observer->uses;
     scene->records[SCENE] = scene;
     Near *room = PyMem_Malloc((size_t)(header->num_items + header->num_kart) * sizeof *room);
     if (!room) PyErr_NoMemory();
@@ -673,7 +671,7 @@ static int add_entry(KartObserver *observer, PyObject *name, npy_intp *num_choic
 /* Sets the parts of a flat view, and adds the entry of the action mask if there is one. */
 static int add_parts(KartObserver *observer)
 {
-    const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
+    const int is_joined = observer->joined.data != NULL, has_mask = observer->uses.data != NULL;
     PyObject *texts = keep(observer, Py_BuildValue("[sss]", is_joined ? "observation" : "continuous",
                                                    "discrete", "action_mask"));
     if (!texts) return -1;
@@ -688,27 +686,23 @@ static int add_parts(KartObserver *observer)
 
 static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwargs)
 {
-    static char *words[] = {"names", "items", "karts",  "paths", "polar",
-                            "flat",  "joined", "nitro", "fire",  NULL};
-    PyObject *names, *joined = Py_None, *nitro = Py_None, *fire = Py_None;
+    static char *words[] = {"names", "items", "karts", "paths", "polar", "flat", "joined", "uses",
+                            NULL};
+    PyObject *names, *joined = Py_None, *uses = Py_None;
     int *sizes = observer->sizes;
     for (int group = 0; group < NUM_GROUPS; group++) sizes[group] = -1;
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiippOOO", words, &PyTuple_Type, &names,
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiippOO", words, &PyTuple_Type, &names,
                                      sizes + ITEMS, sizes + KARTS, sizes + PATHS,
-                                     &observer->is_polar, &observer->is_flat, &joined, &nitro,
-                                     &fire) ||
+                                     &observer->is_polar, &observer->is_flat, &joined, &uses) ||
         (joined != Py_None && !as_indices(joined, &observer->joined)) ||
-        (nitro != Py_None &&
-         !(as_flags(nitro, &observer->nitro) && as_flags(fire, &observer->fire)))) {
+        (uses != Py_None && !as_flags(uses, &observer->uses))) {
         return -1;
     }
-    if (!observer->is_flat && (joined != Py_None || nitro != Py_None)) {
+    if (!observer->is_flat && (joined != Py_None || uses != Py_None)) {
         return refuse("only a flat view can be joined or have a mask of actions");
     }
-    if (observer->fire.size != observer->nitro.size || observer->nitro.size > NPY_MAX_INT32) {
-        return refuse("nitro and fire must have equal lengths");
-    }
-    if (nitro != Py_None) sizes[ACTIONS] = (int)observer->nitro.size;
+    if (observer->uses.size > NPY_MAX_INT32) return refuse("there are too many actions");
+    if (uses != Py_None) sizes[ACTIONS] = (int)(observer->uses.size / 2);
     if (observer->is_flat && add_parts(observer) < 0) return -1;
     npy_intp num_choices = 0;
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(names); i++) {

@@ -110,8 +110,8 @@ class ViewPlan:
         is_polar: whether positions are two angles and a distance.
         is_flat: whether the observation is two vectors.
         joined: number of values of each discrete entry, if both vectors are joined into one.
-        nitro: which actions press nitro, if there is an action mask.
-        fire: which actions fire, if there is an action mask.
+        uses: ``(2, n)`` bool, which actions press nitro, and which fire, if there is an action
+            mask.
         observer: custom observer, if there is one.
         leaves: numbers of an action by key; ``""`` if the action is a single array or number.
         car: wrapper of actions in physical units, if there is one.
@@ -127,8 +127,7 @@ class ViewPlan:
         self.sizes: dict[str, int] = {}
         self.is_polar = self.is_flat = False
         self.joined: tuple[int, ...] | None = None
-        self.nitro: npt.NDArray[np.bool_] | None = None
-        self.fire: npt.NDArray[np.bool_] | None = None
+        self.uses: npt.NDArray[np.bool_] | None = None
         self.observer: RowObserver | None = None
         actions = kart_action_space()
         self.leaves: dict[str, Leaf] = {
@@ -172,9 +171,7 @@ class ViewPlan:
 
     def identity(self) -> Hashable:
         """Key that is equal for equivalent plans."""
-        mask = (
-            None if self.nitro is None else (self.nitro.tobytes(), np.asarray(self.fire).tobytes())
-        )
+        mask = None if self.uses is None else self.uses.tobytes()
         seen = self.names, tuple(sorted(self.sizes.items())), self.is_polar, self.is_flat
         leaves = tuple((key, tuple(map(_hashable, leaf))) for key, leaf in self.leaves.items())
         car = None if self.car is None else self.car.identity()
@@ -197,8 +194,7 @@ class ViewPlan:
             polar=self.is_polar,
             flat=self.is_flat,
             joined=None if self.joined is None else np.array(self.joined, np.intp),
-            nitro=self.nitro,
-            fire=self.fire,
+            uses=self.uses,
         )
 
 

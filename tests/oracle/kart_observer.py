@@ -28,12 +28,11 @@ class KartObserver:
         polar: bool = False,
         flat: bool = False,
         joined: IntArray | None = None,
-        nitro: BoolArray | None = None,
-        fire: BoolArray | None = None,
+        uses: BoolArray | None = None,
     ) -> None:
         self._names, self._is_polar, self._is_flat = names, polar, flat
         self._sizes = {"items": items, "karts": karts, "paths": paths}
-        self._joined, self._nitro, self._fire = joined, nitro, fire
+        self._joined, self._uses = joined, uses
 
     def observe(
         self,
@@ -94,9 +93,9 @@ class KartObserver:
         numbers = [part for part, kind in parts if kind != np.int64]
         continuous = np.concatenate(numbers, axis=1, dtype=np.float32)
         mask = {}
-        if self._nitro is not None and self._fire is not None:
+        if self._uses is not None:
             state = (batch[key].reshape(-1, 1) for key in ("energy", "powerup_type"))
-            mask["action_mask"] = action_mask(*state, self._nitro, self._fire)
+            mask["action_mask"] = action_mask(*state, self._uses)
         if self._joined is None:
             return {**mask, "continuous": continuous, "discrete": choices}
         ones = []
@@ -107,9 +106,8 @@ class KartObserver:
         return {**mask, "observation": vector} if mask else vector
 
 
-def action_mask(
-    energy: Any, powerup: Any, nitro: BoolArray, fire: BoolArray
-) -> npt.NDArray[np.int8]:
+def action_mask(energy: Any, powerup: Any, uses: BoolArray) -> npt.NDArray[np.int8]:
+    nitro, fire = uses
     has_nitro, has_powerup = np.greater(energy, 0), np.not_equal(powerup, 0)
     return np.asarray((~nitro | has_nitro) & (~fire | has_powerup), np.int8)
 

@@ -65,23 +65,23 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         keys = flattener.observation_flattener
         self._energy = _place(inner, keys.continuous_keys, "energy")
         self._powerup = _place(inner, keys.discrete_keys, "powerup_type")
-        self._nitro, self._fire = _uses(env, flattener)
-        mask = spaces.Box(0, 1, self._nitro.shape, np.int8)
+        self._uses = _uses(env, flattener)
+        mask = spaces.Box(0, 1, self._uses.shape[1:], np.int8)
         self.observation_space = spaces.Dict({**copy.deepcopy(space.spaces), "action_mask": mask})
         self._keys = tuple(self.observation_space.spaces)
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
-        if not plan.is_flat or plan.joined or plan.nitro is not None:
+        if not plan.is_flat or plan.joined or plan.uses is not None:
             return False
-        plan.nitro, plan.fire = self._nitro, self._fire
+        plan.uses = self._uses
         return True
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns the observation with the mask, ``(n,)`` int8."""
         energy = observation["continuous"][self._energy]
         powerup = observation["discrete"][self._powerup]
-        mask = action_mask(energy, powerup, self._nitro, self._fire)
+        mask = action_mask(energy, powerup, self._uses)
         seen = {**observation, "action_mask": mask}
         return {key: seen[key] for key in self._keys}
 
@@ -103,11 +103,8 @@ def _place(space: spaces.Dict, keys: list[str], key: str) -> int:
     return int(sum(int(np.prod(space[other].shape or ())) for other in before))
 
 
-Flags = npt.NDArray[np.bool_]
-
-
-def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> tuple[Flags, Flags]:
-    """Returns whether each action, or each value of each choice, presses nitro, and fire."""
+def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> npt.NDArray[np.bool_]:
+    """Returns whether each action, or value of a choice, presses nitro, and fires: ``(2, n)``."""
     if isinstance(env.action_space, spaces.Discrete):
         action: Any = np.arange(env.action_space.n)
         for wrapper in _inwards(env):
@@ -115,14 +112,14 @@ def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> tuple[Flags, F
                 action = wrapper.action(action)
             if wrapper is flattener:
                 break
-        return np.asarray(action["nitro"]) > 0, np.asarray(action["fire"]) > 0
+        return np.stack([action["nitro"], action["fire"]]) > 0
     inner: Any = flattener.env.action_space
     sizes = {key: int(inner[key].n) for key in flattener.action_flattener.discrete_keys}
-    nitro, fire = (
+    uses = [
         np.concatenate([(np.arange(size) > 0) & (key == button) for key, size in sizes.items()])
         for button in ("nitro", "fire")
-    )
-    return nitro, fire
+    ]
+    return np.stack(uses)
 
 
 _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
