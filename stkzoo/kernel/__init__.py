@@ -23,7 +23,6 @@ __all__ = [
     "new_batch",
     "not_built",
     "observe_racing",
-    "reward_term",
     "split_batch",
     "to_polar",
     "trace_roads",

@@ -341,11 +341,6 @@ def action_mask(energy: float, powerup: int, uses: npt.NDArray[np.bool_]) -> npt
         uses: ``(2, n)``, which actions press nitro, and which fire.
     """
 
-def reward_term(
-    name: str, before: bytes, after: bytes, race_length: float
-) -> npt.NDArray[np.float64]:
-    """Returns the value of a term for each kart, ``(K,)`` float64."""
-
 def to_polar(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Converts positions ``(..., 3)`` [m] to two angles [rad] and a distance [m]."""
 

@@ -97,7 +97,6 @@ PyObject *look_around(PyObject *module, PyObject *args);
 PyObject *new_batch(PyObject *module, PyObject *args);
 PyObject *observe_racing(PyObject *module, PyObject *args);
 PyObject *action_mask(PyObject *module, PyObject *args);
-PyObject *reward_term(PyObject *module, PyObject *args);
 PyObject *split_batch(PyObject *module, PyObject *args);
 PyObject *to_polar(PyObject *module, PyObject *points);
 PyObject *trace_roads(PyObject *module, PyObject *args);

@@ -71,7 +71,6 @@ static PyMethodDef methods[] = {
     {"look_around", look_around, METH_VARARGS, "Writes the surroundings of karts."},
     {"new_batch", new_batch, METH_VARARGS, "Returns a batch without content."},
     {"observe_racing", observe_racing, METH_VARARGS, "Writes the view `racing` of karts."},
-    {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
     {"split_batch", split_batch, METH_VARARGS, "Returns the values of a batch's rows."},
     {"to_polar", to_polar, METH_O, "Returns positions as two angles and a distance."},
     {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},

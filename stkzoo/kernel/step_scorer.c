@@ -142,31 +142,6 @@ static Term find_term(PyObject *name)
     return NULL;
 }
 
-/* reward_term(name, before, after, race_length): returns the value of a term for each kart, (K,)
-   float64, in the step between the bytes of two snapshots. */
-PyObject *reward_term(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    PyObject *name;
-    Snapshot before, after;
-    double length;
-    if (!PyArg_ParseTuple(args, "OO&O&d", &name, as_snapshot, &before, as_snapshot, &after, &length)) {
-        return NULL;
-    }
-    const Term term = find_term(name);
-    if (!term) return NULL;
-    const Race race = {after.header->num_kart, length};
-    npy_intp count = after.header->num_kart;
-    if (before.header->num_kart != count) {
-        return PyErr_Format(PyExc_ValueError, "the snapshots are of different races");
-    }
-    PyObject *values = PyArray_SimpleNew(1, &count, NPY_FLOAT64);
-    double *out = values ? PyArray_DATA((PyArrayObject *)values) : NULL;
-    for (npy_intp i = 0; out && i < count; i++) {
-        out[i] = term(before.karts + i, after.karts + i, &race);
-    }
-    return values;
-}
-
 static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
 {
     return table.data + agent * self->num_columns;

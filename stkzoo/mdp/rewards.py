@@ -19,14 +19,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from numbers import Real
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._checks import check_name, check_type, shortened
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.kernel import reward_term
+from stkzoo.kernel import StepScorer
 from stkzoo.mdp.transition import Transition
 
 FloatArray = npt.NDArray[np.float64]
@@ -45,7 +47,21 @@ class KernelTerm:
 
     def __call__(self, step: Transition) -> FloatArray:
         """Returns the value for each kart, ``(K,)`` float64."""
-        return reward_term(self.name, step.before.data, step.after.data, step.race_length)
+        scorer, karts, ends, cuts = _scorer_of(self.name, step.num_kart, step.race_length)
+        values = np.zeros(step.num_kart)
+        before, after = step.before.data, step.after.data
+        scorer.score_into(before, after, False, karts, karts, values, ends, cuts)
+        return values
+
+
+@lru_cache(maxsize=64)
+def _scorer_of(term: str, num_kart: int, race_length: float) -> tuple[Any, ...]:
+    """Returns a scorer whose reward is one term, all karts, and room for their ends."""
+    karts, ends = np.arange(num_kart), np.zeros((2, num_kart), np.bool_)
+    reward = (term,), np.ones(1), np.zeros(1, np.intp)
+    (last, sums), no_events = np.zeros((2, num_kart, 1)), np.zeros((num_kart, 0))
+    scorer = StepScorer(karts, last, sums, race_length, (reward,) * num_kart, no_events)
+    return scorer, karts, *ends
 
 
 #: 0.1 per meter driven.

@@ -76,7 +76,6 @@ def cases():
     kept["new_batch"] = [((batch_of(), 3), {}, None, ())]
     kept["split_batch"] = [((batch_of(), ("a", "b")), {}, None, ())]
     kept["action_mask"] = [((0.0, 1, np.stack([FLAGS, FLAGS])), {}, None, ())]
-    kept["reward_term"] = [(("advance", KARTS, KARTS, 20.0), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
         (stepper_arguments(), {}, "read", (True,)),

@@ -12,7 +12,7 @@ from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import look_around, observe_racing, write_racing_view
 from tests.oracle.road_tracer import trace_roads
 from tests.oracle.rows import join_rows, new_batch, split_batch
-from tests.oracle.step_scorer import StepScorer, reward_term
+from tests.oracle.step_scorer import StepScorer
 from tests.oracle.track_graph import TrackGraph
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
     "look_around",
     "new_batch",
     "observe_racing",
-    "reward_term",
     "split_batch",
     "to_polar",
     "trace_roads",

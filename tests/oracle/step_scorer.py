@@ -92,10 +92,6 @@ TERMS: dict[str, Callable[[Transition], FloatArray]] = {
 }
 
 
-def reward_term(name: str, before: bytes, after: bytes, race_length: float) -> FloatArray:
-    return TERMS[name](Transition(Snapshot(before), Snapshot(after), race_length))
-
-
 class StepScorer:
     def __init__(
         self,
