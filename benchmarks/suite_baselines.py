@@ -3,8 +3,8 @@
     python -m benchmarks.suite_baselines               # about an hour; continues if interrupted
     python -m benchmarks.suite_baselines --tasks solo-1
 
-Writes ``stkzoo/suite/baselines.json``: the score of each driver in each task, with its interval.
-The weakest and the strongest driver of a task define the normalized scores 0 and 1.
+Writes ``stkzoo/suite/baselines.json``: the score of each driver in each task, with its interval. In
+each task, *random* has the normalized score 0 and *zenith* 1, by definition.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ from stkzoo.suite.population import population_digests
 from stkzoo.suite.scores import BASELINES_FILE, load_baselines
 
 #: The game's AI drives at the difficulty of each race; it cannot race against another one.
-DRIVERS = ("ai", "pursuit", "heuristic", "pretrained:scout", "pretrained:ace", "pretrained:apex")
+DRIVERS = (
+    *("random", "ai", "pursuit", "heuristic"),
+    *("pretrained:ace", "pretrained:apex", "pretrained:zenith"),
+)
 
 
 def main(arguments: list[str] | None = None) -> int:

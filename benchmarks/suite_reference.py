@@ -1,232 +1,158 @@
-"""Trains the reference algorithms of the suite, and evaluates their agents.
+"""Trains the reference runs of the suite, evaluates their agents, and packs them.
 
-    python -m benchmarks.suite_reference                   # days; continues if interrupted
-    python -m benchmarks.suite_reference --tasks versus --algorithms ippo --seeds 0
-    python -m benchmarks.suite_reference --only-evaluate   # runs that are already trained
+    python -m benchmarks.suite_reference                          # days; continues if interrupted
+    python -m benchmarks.suite_reference --only "versus-ippo-*" "selfplay-5-*-0"
+    python -m benchmarks.suite_reference --archive suite-1.zip    # packs the runs that are complete
 
-Each run is trained as with ``stkzoo suite train``, and evaluated on the test tracks and on the
-training tracks of its task. Agents run in the process of their race, because their code is ours:
-the races are the same as in a sandbox, and faster. A result is written to
-``benchmarks/results/suite`` immediately, for ``stkzoo suite report``. All tasks and algorithms of a
-seed are run before the next seed. Runs that have a result are skipped.
+Each run has a folder, such as ``runs/suite/versus-ippo-0``: what ``stkzoo suite train`` writes, the
+entry of its agent (``entry``) and the evaluation on the training tracks (``entry-train``). One run
+is trained at a time, with all cores; all tasks and algorithms of a seed come before the next seed.
+``stkzoo suite report runs/suite`` reads these folders.
+
+``--archive`` trains nothing. It packs agents, entries, logs and arguments into a zip for a release,
+and writes to ``benchmarks/results/suite`` what the repository holds: ``digests.json`` with the
+SHA-256 of the zip and of its files, except the replays, whose SHA-256 are in the entries; and
+``report.json``, from which the documentation is built.
 """
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 import sys
-import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import zipfile
+from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import Annotated, Any
 
-import numpy as np
-from msgspec import Meta
 from rich.console import Console
 
 from benchmarks.common import RESULTS, parser
-from stkzoo._os import write_text
-from stkzoo._schema import Count, Whole
-from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
+from stkzoo._os import file_digest, write_text, write_whole
 from stkzoo.agents.training.suite import algorithms
-from stkzoo.agents.training.suite.algorithms import MACHINE, TrainingMachine
 from stkzoo.errors import ConfigError
-from stkzoo.suite import (
-    ALGORITHMS,
-    SUITE,
-    TASKS,
-    About,
-    Entry,
-    LearningCurve,
-    SplitScores,
-    SuiteRun,
-    can_learn,
-    evaluate,
-    find_task,
-)
-from stkzoo.suite.report.results import population_of
+from stkzoo.suite import ALGORITHMS, can_learn, evaluate, find_task, load_runs, make_report
 
-#: Tasks with reference results.
+#: Tasks with reference runs, and the seeds of the runs.
 REFERENCE_TASKS = ("solo-general", "versus", "selfplay-5", "team-2v2")
-SEEDS = (0, 1, 2)
-#: Folder of the results.
+SEEDS = (0, 1, 2, 3, 4)
+#: Folder of what the repository holds.
 OUTPUT = RESULTS / "suite"
 #: Folders of the evaluations in the folder of a run, by split.
-_EVALUATIONS = {"test": "evaluation-test", "train": "evaluation-train"}
-_MAX_POINTS = 100
-#: Task, algorithm and seed of a run.
-RunKey = tuple[str, str, int]
-
-
-@dataclass(frozen=True, slots=True)
-class _Arguments:
-    """The arguments of a run that identify it."""
-
-    task: str
-    algorithm: str
-    seed: Count
-    anneal_timesteps: Whole
-
-
-@dataclass(frozen=True, slots=True)
-class _Chapter:
-    """The arguments of a part of a run."""
-
-    arguments: _Arguments
-
-
-_Chapters: Any = Annotated[tuple[_Chapter, ...], Meta(min_length=1)]
+_EVALUATIONS = {"test": "entry", "train": "entry-train"}
+#: What the archive holds of a run.
+_PACKED = (
+    *("agent/*", "log.jsonl", "arguments.json", "machine.json"),
+    *(f"{name}/{file}" for name in _EVALUATIONS.values() for file in ("entry.json", "replays/*")),
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser("suite_reference", __doc__)
-    words.add_argument("--tasks", nargs="+", choices=TASKS, default=REFERENCE_TASKS)
-    words.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=[*ALGORITHMS])
-    words.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
+    words.add_argument(
+        "--only", nargs="+", default=["*"], metavar="RUN", help="names of runs, or patterns of them"
+    )
     words.add_argument("--kart-steps", type=int, help="instead of the task's budget")
-    words.add_argument("--runs", type=Path, default=Path("runs/suite"), help="folder of the runs")
-    words.add_argument("--output", type=Path, default=OUTPUT, help="folder of the results")
+    words.add_argument("--folder", type=Path, default=Path("runs/suite"), help="folder of the runs")
     words.add_argument("--jobs", type=int, help="races at the same time (default: all cores)")
     words.add_argument(
         "--only-evaluate", action="store_true", help="skip runs that are not trained"
     )
+    words.add_argument("--archive", type=Path, help="zip to write")
+    words.add_argument("--output", type=Path, default=OUTPUT, help="folder of digests and report")
     options = words.parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
+    runs = reference_runs()
+    names = [name for name in runs if any(fnmatch(name, shape) for shape in options.only)]
+    if not names:
+        words.error(f"no run is called {' or '.join(options.only)}; expected {', '.join(runs)}")
     console = Console(stderr=True)
-    for task, algorithm, seed in reference_keys(options.tasks, options.algorithms, options.seeds):
-        name = f"{task}-{algorithm}-{seed}"
-        file = options.output / f"{name}.json"
-        if file.exists():
-            SuiteRun.load(file)  # an outdated result is an error
-            console.print(f"{name}: has a result")
-            continue
-        folder = options.runs / name
+    if options.archive:
+        packed = pack(options.folder, names, options.archive, options.output)
+        console.print(f"{options.archive} has {packed} of {len(names)} runs")
+        return 0
+    for name in names:
+        folder = options.folder / name
         if options.only_evaluate and not (folder / "agent").is_dir():
             console.print(f"{name}: is not trained")
             continue
         if not options.only_evaluate:
-            _train(folder, (task, algorithm, seed), options.kart_steps)
-        run = measure(folder, (task, algorithm, seed), options.jobs)
-        write_text(file, run.to_json() + "\n")
-        console.print(f"{name}: {run.test.score.value:.3f}, training {run.train.score.value:.3f}")
+            task, algorithm, seed = runs[name]
+            budget = options.kart_steps or find_task(task).budget
+            algorithms.run(algorithm, folder, task, budget, seed)
+        console.print(f"{name}: {_evaluate(folder, runs[name][0], options.jobs)}")
     return 0
 
 
-def reference_keys(
-    tasks: Sequence[str] = REFERENCE_TASKS,
-    algorithms: Iterable[str] = ALGORITHMS,
-    seeds: Sequence[int] = SEEDS,
-) -> Iterator[RunKey]:
-    """Yields task, algorithm and seed of all runs, in the order in which they are trained.
-
-    Tasks that an algorithm cannot learn are skipped.
-    """
-    for seed, algorithm, task in itertools.product(seeds, algorithms, tasks):
-        if can_learn(algorithm, find_task(task)):
-            yield task, algorithm, seed
+def reference_runs() -> dict[str, tuple[str, str, int]]:
+    """Returns task, algorithm and seed of all runs by name, in the order of their training."""
+    runs = itertools.product(SEEDS, ALGORITHMS, REFERENCE_TASKS)
+    return {
+        f"{task}-{algorithm}-{seed}": (task, algorithm, seed)
+        for seed, algorithm, task in runs
+        if can_learn(algorithm, find_task(task))
+    }
 
 
-def _train(folder: Path, key: RunKey, kart_steps: int | None) -> None:
-    """Trains or continues a run; does nothing if the run is complete."""
-    task, algorithm, seed = key
-    budget = find_task(task).budget if kart_steps is None else kart_steps
-    algorithms.run(algorithm, folder, task, budget, seed)
+def _evaluate(folder: Path, task: str, jobs: int | None) -> str:
+    """Evaluates the agent of a run, or continues its evaluations; returns the scores."""
+    agent, scores = str(folder / "agent"), []
+    for split, name in _EVALUATIONS.items():
+        output = folder / name
+        entry = evaluate(task, agent, split=split, output=output, jobs=jobs, plot=False)
+        scores.append(f"{entry.score} on the {split} tracks")
+    return ", ".join(scores)
 
 
-def measure(folder: Path, key: RunKey, jobs: int | None = None) -> SuiteRun:
-    """Evaluates a trained run; returns its result.
+def pack(folder: Path, names: Sequence[str], archive: Path, output: Path) -> int:
+    """Packs the runs that have an entry, and writes the digests and the report.
 
     Args:
-        folder: folder of the run.
-        key: task, algorithm and seed of the run.
-        jobs: number of parallel races; by default, one per core.
+        folder: folder of the runs.
+        names: names of the runs.
+        archive: zip to write. Equal runs give equal archives.
+        output: folder of ``digests.json`` and ``report.json``.
+
+    Returns:
+        The number of runs in the archive.
 
     Raises:
-        ConfigError: the folder contains another run.
-        BatchError: some races could not be run.
+        ConfigError: no run is complete, or a file cannot be written.
+        EntryRefused: a number in an entry does not follow from its replays.
     """
-    given = read_run_file(_Chapters, folder / ARGUMENTS)[-1].arguments
-    found = given.task, given.algorithm, given.seed
-    if found != key:
-        raise ConfigError(f"{folder} contains the run {found}, expected {key}")
-    curve, task = learning_curve(require_log(folder)), find_task(key[0])
-    machine = _machine(folder)
-    begin = time.perf_counter()
-    entries = {split: _evaluate(folder, key, split, curve, jobs) for split in _EVALUATIONS}
-    return SuiteRun(
-        suite=SUITE,
-        task=task.name,
-        task_digest=task.digest,
-        population=population_of(task),
-        algorithm=key[1],
-        seed=key[2],
-        budget=given.anneal_timesteps,
-        kart_steps=curve.kart_steps[-1],
-        curve=curve,
-        test=SplitScores.of(entries["test"]),
-        train=SplitScores.of(entries["train"]),
-        training_seconds=curve.seconds[-1],
-        evaluation_seconds=round(time.perf_counter() - begin, 1),
-        cores=machine.cores,
-        versions=machine.versions,
-    )
+    folders = [folder / name for name in names if (folder / name / "entry/entry.json").is_file()]
+    if not folders:
+        raise ConfigError(f"{folder} has no complete run; run this program without --archive")
+    report = make_report(load_runs(folders))
+    files = [
+        path
+        for place in folders
+        for pattern in _PACKED
+        for path in sorted(place.glob(pattern))
+        if path.is_file()
+    ]
+    with write_whole(archive, "the archive") as part, zipfile.ZipFile(part, "w") as target:
+        for path in files:
+            member = zipfile.ZipInfo(path.relative_to(folder).as_posix(), (1980, 1, 1, 0, 0, 0))
+            member.compress_type = zipfile.ZIP_DEFLATED
+            target.writestr(member, path.read_bytes())
+    digests = {
+        "archive": {"name": archive.name, "sha256": _sha256(archive)},
+        "files": {
+            path.relative_to(folder).as_posix(): _sha256(path)
+            for path in files
+            if path.suffix != ".stkz"
+        },
+    }
+    output.mkdir(parents=True, exist_ok=True)
+    write_text(output / "digests.json", json.dumps(digests, indent=1) + "\n")
+    write_text(output / "report.json", report.to_json() + "\n")
+    return len(folders)
 
 
-def _machine(folder: Path) -> TrainingMachine:
-    """Returns the machine that trained a run; this one for runs from earlier versions."""
-    file = folder / MACHINE
-    return read_run_file(TrainingMachine, file) if file.exists() else TrainingMachine.now()
-
-
-def _evaluate(
-    folder: Path, key: RunKey, split: str, curve: LearningCurve, jobs: int | None
-) -> Entry:
-    task, algorithm, seed = key
-    about = About(
-        description=f"{algorithm} of stkzoo, seed {seed}", kart_steps=curve.kart_steps[-1]
-    )
-    output, agent = folder / _EVALUATIONS[split], str(folder / "agent")
-    with Console(stderr=True).status(f"{task} {algorithm} {seed}: {split} tracks"):
-        return evaluate(
-            task, agent, split=split, output=output, about=about, jobs=jobs, plot=False, inline=True
-        )
-
-
-def learning_curve(log: Sequence[Mapping[str, Any]]) -> LearningCurve:
-    """Returns the curve of a run with at most 100 points, the last one included.
-
-    Args:
-        log: lines of the run's log.
-    """
-    steps = [line["kart_steps"] for line in log]
-    lengths = np.diff(steps, prepend=0) / [line["kart_steps_per_s"] for line in log]
-    seconds = np.cumsum(lengths).round(3).tolist()
-    chosen = thinned(len(log))
-
-    def figures(name: str) -> tuple[float | None, ...]:
-        return tuple(log[n].get(name) for n in chosen)
-
-    return LearningCurve(
-        tuple(steps[n] for n in chosen),
-        tuple(seconds[n] for n in chosen),
-        figures("return"),
-        figures("finished"),
-        figures("position"),
-    )
-
-
-def thinned(count: int) -> list[int]:
-    """Returns the numbers of the points of a long curve to keep, with the first and the last.
-
-    Args:
-        count: number of points.
-    """
-    chosen: list[int] = (
-        np.linspace(0, count - 1, min(count, _MAX_POINTS)).round().astype(int).tolist()
-    )
-    return chosen
+def _sha256(file: Path) -> str:
+    return file_digest(file, hashlib.sha256())
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 python examples/ecosystem/benchmarl_vdn.py
 python examples/ecosystem/benchmarl_vdn.py --frames 120000 --max-cycles 1500 --output my_agent
 
-The agent that it writes needs only numpy: stkzoo suite evaluate team-2v2 my_agent/
+The agent that it writes needs only numpy:
+stkzoo suite evaluate team-2v2 my_agent/ --class learned
 """
 
 import argparse

@@ -2,17 +2,16 @@
 
 stkzoo-suite-1 has five tasks: what to learn, on which tracks, in how many kart-steps, and in which
 races the result is evaluated. An evaluated agent is an entry: a folder with its scores and a
-replay of each race. `verify` runs all races of an entry again, without the agent, and compares
-every number.
+replay of each race. `verify` runs all races of an entry again and compares every number.
 
 Examples:
   stkzoo suite list                             the tasks and the population
   stkzoo suite train versus ippo                train an agent
   stkzoo suite exploit pretrained:ace           train an opponent that beats it
-  stkzoo suite evaluate versus my_agent/        120 races on the test tracks
-  stkzoo suite verify suite/versus-my_agent     run all races again
-  stkzoo suite conduct suite/versus-my_agent    contacts, time off the road
-  stkzoo suite report results/                  compare trained algorithms
+  stkzoo suite evaluate versus heuristic        120 races on the test tracks
+  stkzoo suite verify suite/versus-heuristic    run all races again
+  stkzoo suite conduct suite/versus-heuristic   contacts, time off the road
+  stkzoo suite report runs/                     compare trained algorithms
 """
 
 from __future__ import annotations
@@ -34,6 +33,7 @@ from stkzoo.cli._console import say, show, show_facts, show_table
 from stkzoo.cli.benchmark import show_results
 from stkzoo.evaluation import RunOptions
 from stkzoo.race import RaceSettings
+from stkzoo.suite.about import TRAINING_LOG
 from stkzoo.suite.entry import ENTRIES
 from stkzoo.suite.tasks import DIFFICULTY
 
@@ -101,11 +101,13 @@ class PlannedEntryArguments:
         task: the task, as listed by `stkzoo suite list`
         agent: the agent: a driver's name, a folder, a zip or a module; append @:Name to rename it
         split: test for an entry; train for fewer races on the training tracks (default: test)
+        fresh: draw other seeds from a text, such as one that a leaderboard publishes
     """
 
     task: str = positional()
     agent: str = positional()
     split: str = option("test", choices=("test", "train"), group="entry")
+    fresh: str = option("", metavar="TEXT", group="entry")
     about: suite.About = options_of(suite.About, group="entry")
 
 
@@ -114,7 +116,8 @@ class EvaluateArguments:
     """Options of ``stkzoo suite evaluate``.
 
     Attributes:
-        output: folder of the entry (default: suite/TASK-AGENT)
+        output: folder of the entry (default: suite/TASK-AGENT, or entry in the run that trained
+            the agent)
         json: write only the entry's JSON to stdout
     """
 
@@ -133,10 +136,12 @@ class VerifyArguments:
 
     Attributes:
         entry: folder of the entry
+        agent: the agent itself, which drives again (default: it repeats its recorded controls)
         json: write JSON to stdout
     """
 
     entry: Path = positional(metavar="ENTRY")
+    agent: str | None = None
     json: bool = False
     batch: dict[str, Any] = options_of(RunOptions, only=RUN_OPTIONS)
 
@@ -159,11 +164,11 @@ class SuiteReportArguments:
     """Options of ``stkzoo suite report``.
 
     Attributes:
-        results: result files, or folders of them
+        runs: folders of training runs or entries, or folders of them
         output: folder of the report
     """
 
-    results: tuple[Path, ...] = positional(metavar="RESULT")
+    runs: tuple[Path, ...] = positional(metavar="RUN")
     output: Path = option(Path("suite", "report"), metavar="FOLDER")
 
 
@@ -251,50 +256,59 @@ def _evaluate(arguments: EvaluateArguments) -> int:
 
     Drives the races of the task and writes an entry: entry.json with the scores, and a replay of
     each race. Each race is stored as soon as it ends. After an interruption, the same command
-    resumes.
+    resumes. An agent from files needs its --class, unless stkzoo trained it.
 
     Examples:
       stkzoo suite evaluate solo-1 heuristic
-      stkzoo suite evaluate versus my_agent/ --authors "Ada Lovelace"
-      stkzoo suite evaluate team-2v2 my_agent.zip@:Nova --output entries/nova
-      stkzoo suite evaluate versus my_agent/ --split train      training tracks
+      stkzoo suite evaluate versus runs/versus-ippo-0/agent
+      stkzoo suite evaluate versus my_agent.zip@:Nova --class learned
+      stkzoo suite evaluate versus my_agent/ --class learned --split train
+      stkzoo suite evaluate versus heuristic --fresh "2026-12-24"
 
     exit codes:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
       failed in some race, 130 interrupted
     """
     plan = suite.plan_entry(**vars(arguments.plan), **arguments.settings)
-    name = f"{plan.task}-{file_name(plan.agent.label)}"
-    name += "-train" if plan.is_on_training_tracks else ""
-    folder = arguments.output or Path("suite", name)
+    folder = arguments.output or _entry_folder(plan)
     return run_and_show(arguments, ENTRIES, plan, folder, _show_entry)
+
+
+def _entry_folder(plan: suite.EntryPlan) -> Path:
+    """Returns the default folder of an entry: in the run of its agent, or in ``suite``."""
+    ends = ("train" if plan.is_on_training_tracks else "", plan.about.variant, plan.fresh)
+    end = "".join(f"-{file_name(text)}" for text in ends if text)
+    run = Path(plan.agent.source).parent
+    if (run / TRAINING_LOG).is_file():
+        return run / f"entry{end}"
+    return Path("suite", f"{plan.task}-{file_name(plan.agent.label)}{end}")
 
 
 def _verify(arguments: VerifyArguments) -> int:
     """Run all races of an entry again, and compare every number.
 
-    Runs all races of an entry again. The agent is not needed: its karts repeat the recorded
-    controls, and all other karts drive again. Every position, rotation and velocity must be equal
-    to the last bit, and every number of entry.json must follow from the races.
+    Every position, rotation and velocity must be equal to the last bit, and every number of
+    entry.json must follow from the races. The rivals drive again, and so do drivers that come with
+    stkzoo. The karts of other agents repeat their recorded controls, so that their code is not
+    needed; with --agent, the agent drives again.
 
-    This proves that the races took place as the entry says. It does not prove who chose the
-    controls, how often the agent failed, or what the entry says about its authors.
+    The last line says what is proven. Nothing proves what the entry says about its training.
 
     Examples:
       stkzoo suite verify suite/versus-my_agent
-      stkzoo suite verify entries/nova --jobs 1
+      stkzoo suite verify suite/versus-my_agent --agent my_agent/
 
     exit codes:
       0 verified, 1 refused, 2 invalid command line, 130 interrupted
     """
-    entry, code = run_batch(
-        arguments.batch, partial(suite.verify_entry, arguments.entry), is_saved=False
-    )
+    verify = partial(suite.verify_entry, arguments.entry, agent=arguments.agent)
+    entry, code = run_batch(arguments.batch, verify, is_saved=False)
     if entry is None:
         return code
     show(entry, _show_entry, as_json=arguments.json)
     if not arguments.json:
         say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
+        say(suite.proof_of(entry, arguments.agent))
     return code
 
 
@@ -328,18 +342,18 @@ def _report(arguments: SuiteReportArguments) -> int:
     """Write a report of trained algorithms: scores, intervals, figures.
 
     Compares trained algorithms and writes report.json (all numbers), report.md (tables), figures as
-    SVG, and marl_eval.json for the tools of MARL-eval. The same results make the same files.
+    SVG, and marl_eval.json for the tools of MARL-eval. The same entries make the same files.
 
-    A result file describes one training run: its learning curve, and the scores of its agent on
-    the test tracks and on the training tracks. `python -m benchmarks.suite_reference`, in the
-    repository, trains and evaluates the reference algorithms and writes such files.
+    It reads all entries in the folders, and log.jsonl beside them for the learning curves. Entries
+    with the same algorithm in a task are runs of it. All numbers must follow from the replays; the
+    races do not run again, so verify entries of others first.
 
     Examples:
-      stkzoo suite report results/
-      stkzoo suite report results/versus-*.json --output versus-report
+      stkzoo suite report runs/
+      stkzoo suite report runs/versus-* suite/versus-heuristic --output report
     """
-    report = suite.write_suite_report(arguments.results, arguments.output)
-    runs = sum(len(result.seeds) for task in report.tasks for result in task.algorithms)
+    report = suite.write_suite_report(arguments.runs, arguments.output)
+    runs = sum(result.runs for task in report.tasks for result in task.algorithms)
     say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
     return 0
 
@@ -378,9 +392,12 @@ def _show_entry(entry: suite.Entry) -> None:
     if task.has_population:
         say(f"The time ratio divides by the AI's time at difficulty {DIFFICULTY} in all races.")
     metric, count = task.metric.replace("_", " "), len(entry.plan.races())
-    say(f"{entry.label} in {task.name}: {metric} {score} in {len(entry.races)} of {count} races.")
+    races = f"{len(entry.races)} of {count} races"
+    races += f", fresh from {entry.plan.fresh!r}" if entry.plan.fresh else ""
+    name = f"{entry.label} ({entry.plan.about.agent_class})"
+    say(f"{name} in {task.name}: {metric} {score} in {races}.")
     if entry.normalized_score is not None:
         say(
-            f"Normalized: {entry.normalized_score:.2f}; 0 is the weakest and 1 the strongest "
-            "driver that comes with stkzoo."
+            f"Normalized: {entry.normalized_score:.2f}; in the same races, random has 0 and "
+            "pretrained:zenith 1."
         )

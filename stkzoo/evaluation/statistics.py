@@ -118,15 +118,18 @@ def estimate_clustered(
     generator = np.random.default_rng(0)
     drawn = generator.multinomial(clusters - 1, np.full(clusters, 1 / clusters), DRAWS)
     means = (drawn @ totals) / (drawn @ counts)
-    tail = 100 * NormalDist().cdf(-_student_t(clusters - 1))
+    tail = 100 * NormalDist().cdf(-student_t(clusters - 1))
     low, high = np.percentile(means, (tail, 100 - tail))
     return Estimate(mean, float(low), float(high))
 
 
-def _student_t(freedom: int) -> float:
+def student_t(freedom: int) -> float:
     """Returns the 97.5% quantile of Student's t, by bisection of the angle ``atan(t / sqrt(n))``.
 
     The probability is exact (Abramowitz and Stegun 1964, 26.7.3 and 26.7.4).
+
+    Args:
+        freedom: degrees of freedom ``n``, 1 or more.
     """
     low, high = 0.0, math.pi / 2
     for _ in range(60):

@@ -9,11 +9,12 @@
 Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")``.
 """
 
+from stkzoo.suite.about import CLASSES, About
 from stkzoo.suite.conduct import Conduct, measure_conduct
-from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
+from stkzoo.suite.entry import Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.population import POPULATION, Member
 from stkzoo.suite.report.document import SuiteReport
-from stkzoo.suite.report.results import LearningCurve, RaceScore, SplitScores, SuiteRun, load_runs
+from stkzoo.suite.report.runs import Evaluation, LearningCurve, SuiteRun, load_runs
 from stkzoo.suite.report.writing import make_report, write_suite_report
 from stkzoo.suite.scores import Baselines, load_baselines, normalized
 from stkzoo.suite.tasks import (
@@ -27,12 +28,13 @@ from stkzoo.suite.tasks import (
     register_tasks,
     view_of,
 )
-from stkzoo.suite.verification import EntryRefused, verify_entry
+from stkzoo.suite.verification import EntryRefused, proof_of, verify_entry
 
 register_tasks()
 
 __all__ = [
     "ALGORITHMS",
+    "CLASSES",
     "POPULATION",
     "SUITE",
     "TASKS",
@@ -42,10 +44,9 @@ __all__ = [
     "Entry",
     "EntryPlan",
     "EntryRefused",
+    "Evaluation",
     "LearningCurve",
     "Member",
-    "RaceScore",
-    "SplitScores",
     "SuiteReport",
     "SuiteRun",
     "Task",
@@ -59,6 +60,7 @@ __all__ = [
     "measure_conduct",
     "normalized",
     "plan_entry",
+    "proof_of",
     "verify_entry",
     "view_of",
     "write_suite_report",

@@ -12,21 +12,22 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._checks import check_name, check_whole, shortened
+from stkzoo._checks import check_name, shortened
 from stkzoo._os import file_digest
-from stkzoo._schema import Count, matching
+from stkzoo._schema import matching
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import batch_settings
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, benchmark_orders, plan_benchmark
-from stkzoo.evaluation.benchmark.races import FigureKind
+from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind, race_seed
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, plot_benchmark, race_outcomes
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
+from stkzoo.suite.about import About
 from stkzoo.suite.population import draw_rivals, population_digests
 from stkzoo.suite.scores import normalized
 from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
@@ -39,9 +40,7 @@ DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths")
 TEST, TRAIN = "test", "train"
 _BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
 _Digest = Annotated[str, matching("[0-9a-f]{64}")]
-#: Maximum length of a text about an entry [characters], and maximum number of kart-steps.
-_MAX_TEXT, _MAX_KART_STEPS = 2000, 2**62
-_Text = Annotated[str, Meta(max_length=_MAX_TEXT)]
+_MAX_FRESH = 200  # maximum length of the text for other seeds [characters]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,34 +58,6 @@ class EntryOrder(RaceOrder):
         return self.race(self.drivers, [ReplayWriter(replay)])
 
 
-@dataclass(frozen=True, slots=True)
-class About:
-    """What an entry says about itself. None of it can be verified.
-
-    Attributes:
-        authors: names of the authors, at most 2,000 characters.
-        description: how the agent was made, and where to find it; at most 2,000 characters.
-        kart_steps: number of kart-steps that it learned from (default: unknown).
-
-    Raises:
-        ConfigError: a value is invalid.
-    """
-
-    authors: _Text = ""
-    description: _Text = ""
-    kart_steps: Count | None = None
-
-    def __post_init__(self) -> None:
-        for name, text in (("authors", self.authors), ("description", self.description)):
-            if not isinstance(text, str) or len(text) > _MAX_TEXT:
-                raise ConfigError(
-                    f"{name} is {shortened(text)}, expected text of at most {_MAX_TEXT:,} "
-                    "characters, such as the address of a longer text"
-                )
-        if self.kart_steps is not None:
-            check_whole("kart_steps", self.kart_steps, 0, _MAX_KART_STEPS)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EntryPlan(BenchmarkPlan):
     """The plan of an entry. It determines the races.
@@ -95,7 +66,11 @@ class EntryPlan(BenchmarkPlan):
         task: name of the task.
         task_digest: :attr:`Task.digest <stkzoo.suite.Task.digest>`.
         population: digests of the population's drivers, by name.
-        about: what the entry says about itself.
+        about: what the entry says about its agent.
+        fresh: text from which the seeds of the races are drawn; empty for those of the task.
+
+    Raises:
+        ConfigError: a value is invalid, or contradicts another one.
     """
 
     type_name: ClassVar[str] = "suite-plan"
@@ -109,6 +84,32 @@ class EntryPlan(BenchmarkPlan):
     task_digest: _Digest
     population: Mapping[str, str]
     about: About = field(default_factory=About)
+    fresh: Annotated[str, Meta(max_length=_MAX_FRESH)] = ""
+
+    def __post_init__(self) -> None:
+        BenchmarkPlan.__post_init__(self)
+        self.about.check(self.agent.source, self.agent.label)
+        is_text = isinstance(self.fresh, str) and self.fresh.isprintable()
+        if not is_text or len(self.fresh) > _MAX_FRESH:
+            raise ConfigError(
+                f"fresh is {shortened(self.fresh)}, expected one line of at most {_MAX_FRESH} "
+                "letters, digits, signs and spaces"
+            )
+        if self.fresh and self.is_on_training_tracks:
+            raise ConfigError(
+                "fresh races are for leaderboards, on the test tracks; leave out fresh (--fresh) "
+                "or the split (--split)"
+            )
+
+    def races(self) -> tuple[BenchmarkRace, ...]:
+        """Returns all races."""
+        races = BenchmarkPlan.races(self)
+        return tuple(map(self._freshened, races)) if self.fresh else races
+
+    def _freshened(self, race: BenchmarkRace) -> BenchmarkRace:
+        """Returns a race with a seed from the text for other seeds."""
+        text = f"{self.fresh}/{race.track}"
+        return replace(race, seed=race_seed(text, race.reverse, race.form, race.end, race.index))
 
     @property
     def is_on_training_tracks(self) -> bool:
@@ -191,12 +192,12 @@ class Entry(BenchmarkResult):
 
     @property
     def normalized_score(self) -> float | None:
-        """The score between the weakest (0) and the strongest (1) driver that comes with stkzoo.
+        """The score on the scale where *random* has 0 and *zenith* has 1 in the same races.
 
-        ``None`` without races, if the task has no baselines, and on the training tracks, because
-        baselines are scores on the test tracks.
+        ``None`` without races, if the two have not been measured, on the training tracks and in
+        fresh races, where they have other scores.
         """
-        if self.score is None or self.plan.is_on_training_tracks:
+        if self.score is None or self.plan.is_on_training_tracks or self.plan.fresh:
             return None
         return normalized(self.plan.task, self.score.value)
 
@@ -207,6 +208,7 @@ def plan_entry(
     *,
     split: str = TEST,
     about: About | None = None,
+    fresh: str = "",
     settings: RaceSettings | None = None,
     **changes: Any,
 ) -> EntryPlan:
@@ -217,14 +219,18 @@ def plan_entry(
         agent: the agent; see :func:`~stkzoo.evaluation.plan_benchmark`.
         split: ``"test"`` for the races of the task. ``"train"`` for the training tracks, with one
             race for each form, end of the grid, track and direction; the result is not an entry.
-        about: what the entry says about itself.
+        about: what the entry says about its agent. stkzoo adds the class of its own drivers, and
+            what its training programs know about their agents.
+        fresh: text from which other seeds of the races are drawn, at most 200 characters, such as
+            one that the organizer of a leaderboard publishes after the agents were handed in.
         settings: settings of every race, such as time limits of agents. The task sets the fields in
             ``EntryPlan.decided``.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of ``settings``.
 
     Raises:
-        ConfigError: the task, the split or the agent does not exist, a setting is invalid, or
-            the agent requires another difficulty than the races have.
+        ConfigError: the task, the split or the agent does not exist, a setting is invalid, the
+            agent requires another difficulty than the races have, or ``about`` has no class of an
+            agent from files or another class of a driver of stkzoo.
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
@@ -245,7 +251,8 @@ def plan_entry(
         task=task.name,
         task_digest=task.digest,
         population=population_digests(),
-        about=about or About(),
+        about=(about or About()).completed(base.agent.source),
+        fresh=fresh,
     )
 
 

@@ -1,4 +1,4 @@
-"""Normalized scores: 0 is the weakest and 1 the strongest driver that comes with stkzoo."""
+"""Normalized scores: *random* has 0 and *zenith* has 1 in the same races, by definition."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from stkzoo.suite.tasks import SUITE, TIME_RATIO, find_task
 
 #: The scores of the drivers, measured by ``python -m benchmarks.suite_baselines``.
 BASELINES_FILE = Path(__file__).parent / "baselines.json"
+#: The drivers whose scores are 0 and 1 on the scale of a task.
+ZERO, ONE = "random", "pretrained:zenith"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +35,18 @@ class Baselines:
     scores: Mapping[str, Mapping[str, Estimate]]
 
     def has(self, task: str) -> bool:
-        """Returns whether there are scores of a task's present definition and population.
+        """Returns whether both ends of a task's scale are known.
+
+        They are scores in the races of its present definition, against the present population.
 
         Args:
             task: name of the task.
         """
         definition = find_task(task)
         is_met = not definition.has_population or self.population == population_digests()
-        return self.suite == SUITE and self.digests.get(task) == definition.digest and is_met
+        is_known = {ZERO, ONE} <= self.scores.get(task, {}).keys()
+        is_same = self.suite == SUITE and self.digests.get(task) == definition.digest
+        return is_known and is_same and is_met
 
 
 @cache
@@ -54,24 +60,25 @@ def load_baselines() -> Baselines:
         return load_json(BASELINES_FILE, Baselines)
 
 
-def scale_ends(task: str) -> tuple[float, float]:
+def scale_ends(task: str, fresh: str = "") -> tuple[float, float]:
     """Returns the values of a task's metric that are 0 and 1 on its scale. Higher is better.
 
-    They are the scores of the weakest and of the strongest driver that comes with stkzoo. Without
-    baselines, the scale is the metric itself, and a time ratio has a minus sign.
+    They are the scores of *random* and *zenith*. Without them, and in fresh races, the scale is the
+    metric itself, and a time ratio has a minus sign.
 
     Args:
         task: name of the task.
+        fresh: text from which the seeds of the races are drawn; empty for those of the task.
     """
     baselines, is_time = load_baselines(), find_task(task).metric == TIME_RATIO
-    if not baselines.has(task):
+    if fresh or not baselines.has(task):
         return (0.0, -1.0) if is_time else (0.0, 1.0)
-    values = [score.value for score in baselines.scores[task].values()]
-    return (max(values), min(values)) if is_time else (min(values), max(values))
+    scores = baselines.scores[task]
+    return scores[ZERO].value, scores[ONE].value
 
 
 def normalized(task: str, score: float) -> float | None:
-    """Returns a score on the scale of its task: 0 is the weakest baseline, 1 the strongest.
+    """Returns a score on the scale of its task, where *random* has 0 and *zenith* has 1.
 
     Scores can be below 0 and above 1.
 
@@ -80,9 +87,9 @@ def normalized(task: str, score: float) -> float | None:
         score: the score.
 
     Returns:
-        The normalized score; ``None`` if the task has no baselines.
+        The normalized score; ``None`` if the two drivers have not been measured in the task.
     """
     if not load_baselines().has(task):
         return None
-    weakest, strongest = scale_ends(task)
-    return (score - weakest) / (strongest - weakest)
+    zero, one = scale_ends(task)
+    return (score - zero) / (one - zero)

@@ -17,12 +17,12 @@ from stkzoo._checks import shortened
 from stkzoo._reading import read_json, read_text, reading
 from stkzoo._schema import plain_text
 from stkzoo._temporary import TemporaryFolder
-from stkzoo.drivers.driver import GAME_AI, Driver
-from stkzoo.errors import StkzooError
-from stkzoo.evaluation.batch.agents import NAME_MARK
+from stkzoo.drivers.driver import Driver, find_driver
+from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.evaluation.batch.agents import NAME_MARK, find_agents
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder, replay_file
 from stkzoo.evaluation.batch.run import RunOptions, run_orders
-from stkzoo.evaluation.benchmark.races import direction_name
+from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
 from stkzoo.evaluation.benchmark.result import race_outcomes
 from stkzoo.race.replay import (
     Replay,
@@ -32,8 +32,12 @@ from stkzoo.race.replay import (
     recorded_driver,
 )
 from stkzoo.race.result import RaceResult
+from stkzoo.race.settings import RaceSettings
+from stkzoo.suite.about import shipped_class
 from stkzoo.suite.entry import (
     ENTRY_FILE,
+    TEST,
+    TRAIN,
     Entry,
     EntryPlan,
     entry_orders,
@@ -53,25 +57,30 @@ class EntryRefused(StkzooError):
 
 @dataclass(frozen=True, slots=True)
 class VerifyOrder(RaceOrder):
-    """A recorded race to run again: the agent's karts repeat their controls, the others drive live.
-
-    If the agent is the game's AI, its karts are live too.
+    """A recorded race to run again. The rivals drive live.
 
     Attributes:
         replay: SHA-256 of the replay.
+        live: name or path of the driver of the agent's karts; empty if they repeat their controls.
     """
 
     replay: str = ""
+    live: str = ""
 
     @classmethod
-    def of(cls, order: RaceOrder, replay: str) -> VerifyOrder:
+    def of(cls, order: RaceOrder, replay: str, live: str) -> VerifyOrder:
         """Returns the order that repeats the race of another order.
 
         Args:
             order: the other order.
             replay: SHA-256 of its replay.
+            live: see the class.
         """
-        return cls(order.number, order.drivers, order.settings, order.wait_for or (), replay=replay)
+        settings = _safe(order.settings)
+        if not live:
+            settings = replace(settings, action_timeout=None, time_budget=None)
+        awaited = order.wait_for or ()
+        return cls(order.number, order.drivers, settings, awaited, replay=replay, live=live)
 
     def run(self, folder: Path) -> RaceResult:
         """Runs and records the race again in a worker process, and compares both recordings.
@@ -104,11 +113,14 @@ class VerifyOrder(RaceOrder):
         drivers: list[str | Driver] = [*self.drivers]
         for number in self.wait_for or ():
             source, _, label = self.drivers[number].rpartition(NAME_MARK)
-            if source not in GAME_AI:
-                driver = recorded_driver(label, recorded.controls[:, number])
-                drivers[number] = replace(driver, source=source)
+            driver = (
+                find_driver(self.live)
+                if self.live
+                else recorded_driver(label, recorded.controls[:, number])
+            )
+            drivers[number] = replace(driver, name=label, source=source)
         steps = min(recorded.steps, self.settings.max_steps or recorded.steps)
-        settings = replace(self.settings, max_steps=steps, action_timeout=None, time_budget=None)
+        settings = replace(self.settings, max_steps=steps)
         replace(self, settings=settings).race(drivers, [ReplayWriter(file)])
         return load_replay(file)
 
@@ -121,7 +133,8 @@ class VerifyOrder(RaceOrder):
             again: result of the new race.
         """
         karts = {f"kart_{number}" for number in self.wait_for or ()}
-        difference = _difference(_verifiable(recorded, karts), _verifiable(again, karts))
+        pair = (_verifiable(result, karts, is_live=bool(self.live)) for result in (recorded, again))
+        difference = _difference(*pair)
         if difference:
             raise EntryRefused(f"step {replay.steps}: {difference}")
         expected = _expected_status(recorded, again, karts, self.settings.max_steps or math.inf)
@@ -135,6 +148,19 @@ class VerifyOrder(RaceOrder):
         return replace(again, status=expected, agents=tuple(rows))
 
 
+def _safe(settings: RaceSettings) -> RaceSettings:
+    """Returns an entry's settings without those that turn off limits or name files to load."""
+    default = RaceSettings()
+    return replace(
+        settings,
+        inline=False,
+        sandbox=default.sandbox,
+        adapter=None,
+        agent_memory=default.agent_memory,
+        action_timeout=settings.action_timeout or default.action_timeout,
+    )
+
+
 def _compare_steps(recorded: Replay, again: Replay) -> None:
     """Compares a recording with that of the new race: its conditions, and each step."""
     heads = (replace(r, status="", result=None, versions={}) for r in (recorded, again))
@@ -142,32 +168,37 @@ def _compare_steps(recorded: Replay, again: Replay) -> None:
         raise EntryRefused(f"step 0: {difference}")
     steps = again.steps
     states = np.argwhere(recorded.digests[: steps + 1] != again.digests)
-    if len(states):
-        versions = other_versions(recorded)
-        raise EntryRefused(
-            f"step {states[0][0]} differs from the recording"
-            + (f"; other versions here: {versions}" if versions else "")
-        )
     controls = np.argwhere(recorded.controls[:steps] != again.controls)
-    if len(controls):
+    versions = other_versions(recorded)
+    hint = f"; other versions here: {versions}" if versions else ""
+    if len(controls) and not (len(states) and states[0][0] <= controls[0][0]):
         step, kart, _ = controls[0]
-        raise EntryRefused(f"step {step + 1} has other controls of kart_{kart}")
+        name = recorded.agents[kart].name
+        raise EntryRefused(
+            f"step {step + 1} has other controls of kart_{kart} than {name} chooses{hint}"
+        )
+    if len(states):
+        raise EntryRefused(f"step {states[0][0]} differs from the recording{hint}")
     if steps < recorded.steps:
         raise EntryRefused(f"step {steps} ends the race, and the recording has {recorded.steps}")
 
 
-def _verifiable(result: RaceResult, karts: Collection[str]) -> Any:
+def _verifiable(result: RaceResult, karts: Collection[str], *, is_live: bool) -> Any:
     """Returns as JSON values what a new race shows of a result.
 
-    These are all values except durations, versions, protections and the failures of the agent.
+    These are all values except durations, versions, protections and the failures of the agent: the
+    texts of its errors, and also their number if it does not drive again.
 
     Args:
         result: the result.
         karts: ids of the agent's karts.
+        is_live: whether the agent drives again.
     """
     rows = [replace(row, action_time=None) for row in result.agents]
     for number, row in enumerate(rows):
-        if row.agent in karts:
+        if row.agent in karts and is_live:
+            rows[number] = replace(row, errors=())
+        elif row.agent in karts:
             status = "finished" if row.status == "finished" else "racing"
             rows[number] = replace(row, status=status, num_errors=0, num_clipped=0, errors=())
     values = replace(result, status="racing", agents=tuple(rows), versions={}, wall_time=0.0)
@@ -207,20 +238,23 @@ def _expected_status(
 
 def verify_entry(
     folder: str | os.PathLike[str],
+    *,
+    agent: str | None = None,
     **options: Any,
 ) -> Entry:
-    """Runs all races of an entry again and compares every number, without the agent's code.
+    """Runs all races of an entry again and compares every number.
 
-    The agent's karts repeat their recorded controls, unless the agent is the game's AI; the game's
-    AI and the population drive again. All positions, rotations and velocities must be equal to the
-    last bit.
+    The rivals drive again, and so does a driver that comes with stkzoo if the entry is of it. Other
+    agents' karts repeat their recorded controls, unless ``agent`` is the agent itself. All
+    positions, rotations and velocities must be equal to the last bit.
 
-    This verifies the races, their results and the names of their drivers. It does not verify who
-    chose the controls, the failures and decision times of the agent, or what the entry says about
-    itself and its software.
+    This verifies the races and their results. It verifies that the agent drove only if it drives
+    again (:func:`proof_of`), and nothing that the entry says about its agent and its software.
 
     Args:
         folder: folder of the entry, with ``entry.json`` and ``replays``.
+        agent: the agent, as for :func:`evaluate`; it drives in the sandbox, with the seeds of the
+            entry's races. ``None`` repeats its recorded controls.
         **options: ``jobs``, ``race_timeout`` and ``on_race``, as in
             :class:`~stkzoo.evaluation.RunOptions`.
 
@@ -229,15 +263,20 @@ def verify_entry(
 
     Raises:
         EntryRefused: the entry is incomplete, or a race or a number differs.
-        ConfigError: there is no entry, its file is damaged, or an option is invalid.
+        ConfigError: there is no entry, its file is damaged, the agent does not exist, or an option
+            is invalid.
     """
     settings = RunOptions(**options)
     place = Path(folder)
     text = _read(place / ENTRY_FILE)
     entry = Entry.from_json(text, str(place / ENTRY_FILE))
-    _check_conditions(entry, place)
+    if entry.plan.is_on_training_tracks:
+        remedy = f"an entry needs `stkzoo suite evaluate {entry.plan.task} AGENT` without --split"
+        _refuse(place, [f"it is an evaluation on the training tracks; {remedy} train"])
+    check_conditions(entry, place)
     pairs = zip(entry_orders(entry.plan), entry.replays, strict=True)
-    orders = [VerifyOrder.of(order, digest) for order, digest in pairs]
+    live = _live_driver(entry.plan, agent)
+    orders = [VerifyOrder.of(order, digest, live) for order, digest in pairs]
     results: dict[int, RaceResult] = {}
     problems: dict[int, str] = {}
     with closing(run_orders(orders, place, settings, RaceResult)) as outcomes:
@@ -246,9 +285,42 @@ def verify_entry(
                 problems[order.number] = f"{_name(order)}: {error}"
             else:
                 results[order.number] = result
-    _refuse([problems[number] for number in sorted(problems)])
-    _compare(entry, read_json(text, dict[str, Any], Entry.max_bytes), results)
+    _refuse(place, [problems[number] for number in sorted(problems)])
+    _compare(entry, place, read_json(text, dict[str, Any], Entry.max_bytes), results)
     return entry
+
+
+def _live_driver(plan: EntryPlan, agent: str | None) -> str:
+    """Returns the driver that drives the agent's karts again; an empty text without one."""
+    shipped = shipped_class(plan.agent.source) is not None
+    if agent is None:
+        return plan.agent.source if shipped else ""
+    if shipped:
+        raise ConfigError(
+            f"{plan.agent.source!r} comes with stkzoo and drives again by itself; leave out the "
+            "agent (--agent)"
+        )
+    return find_agents([agent], _safe(plan.settings))[0].source
+
+
+def proof_of(entry: Entry, agent: str | None = None) -> str:
+    """Returns what :func:`verify_entry` has proven about an entry, and what it has not.
+
+    Args:
+        entry: the verified entry.
+        agent: as for :func:`verify_entry`.
+    """
+    source = entry.plan.agent.source
+    driver = source if shipped_class(source) else agent
+    if driver is None:
+        return (
+            f"Proven: the races took place. Not proven: that {entry.label} drove; with its files, "
+            "`stkzoo suite verify ENTRY --agent AGENT` proves it."
+        )
+    return (
+        f"Proven: {driver} drove in all races. Not proven: what the entry says about authors and "
+        "training."
+    )
 
 
 def _read(file: Path) -> str:
@@ -256,11 +328,13 @@ def _read(file: Path) -> str:
         return read_text(file, Entry.max_bytes)
 
 
-def _refuse(problems: Sequence[str]) -> None:
-    """Raises an error with the first problems, if there are any."""
+def _refuse(folder: Path, problems: Sequence[str]) -> None:
+    """Raises an error with the first problems of an entry, if there are any."""
     more = [f"... and {len(problems) - _MAX_SHOWN} more"] if len(problems) > _MAX_SHOWN else []
     if problems:
-        raise EntryRefused("\n".join(["the entry is refused:", *problems[:_MAX_SHOWN], *more]))
+        raise EntryRefused(
+            "\n".join([f"the entry {folder} is refused:", *problems[:_MAX_SHOWN], *more])
+        )
 
 
 def _name(order: RaceOrder) -> str:
@@ -268,14 +342,20 @@ def _name(order: RaceOrder) -> str:
     return f"race {order.number} ({order.settings.track} {direction})"
 
 
-def _check_conditions(entry: Entry, folder: Path) -> None:
-    """Checks that an entry has all races of its task, under the conditions of the suite."""
+def check_conditions(entry: Entry, folder: Path) -> None:
+    """Checks that an entry has all races of its task, under the conditions of the suite.
+
+    Args:
+        entry: the entry, or an evaluation on the training tracks.
+        folder: its folder.
+
+    Raises:
+        EntryRefused: races or replays are missing, or the conditions are others.
+    """
     plan = entry.plan
     task = find_task(plan.task)
-    if plan.is_on_training_tracks:
-        remedy = f"an entry needs `stkzoo suite evaluate {task.name} AGENT` without --split train"
-        _refuse([f"it is an evaluation on the training tracks; {remedy}"])
-    expected = plan_entry(task, "random")
+    split = TRAIN if plan.is_on_training_tracks else TEST
+    expected = plan_entry(task, "random", split=split, fresh=plan.fresh)
     conditions = {name: getattr(expected.settings, name) for name in EntryPlan.decided}
     expected = replace(
         expected,
@@ -295,27 +375,67 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
     if strange := names ^ {file.name for file in (folder / REPLAYS).glob("*")}:
         shown = plain_text(", ".join(sorted(strange)[:_MAX_SHOWN]))
         problems.append(f"{REPLAYS} does not have exactly one replay per race; see {shown}")
-    _refuse(problems)
+    _refuse(folder, problems)
 
 
-def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceResult]) -> None:
+def check_recordings(entry: Entry, folder: Path) -> tuple[RaceResult, ...]:
+    """Checks that an entry has the replays of all its races, and follows from their results.
+
+    This runs no race: it does not verify that the races took place.
+
+    Args:
+        entry: the entry, or an evaluation on the training tracks.
+        folder: its folder.
+
+    Returns:
+        The result of each race.
+
+    Raises:
+        EntryRefused: it is incomplete, or a replay or a number is another one.
+        ReplayError: a replay is damaged.
+    """
+    check_conditions(entry, folder)
+    results: dict[int, RaceResult] = {}
+    problems = []
+    for order, digest in zip(entry_orders(entry.plan), entry.replays, strict=True):
+        result = load_replay(replay_file(folder, order.number)).result
+        if replay_digest(folder, order.number) != digest:
+            problems.append(f"{_name(order)}: the replay is not the one of {ENTRY_FILE} (SHA-256)")
+        elif result is None or _race_of(result) != _race_of(order.settings):
+            problems.append(f"{_name(order)}: the replay is of another race")
+        else:
+            results[order.number] = result
+    _refuse(folder, problems)
+    _compare_races(entry, folder, results)
+    return tuple(results.values())
+
+
+def _race_of(facts: RaceResult | RaceSettings) -> tuple[object, ...]:
+    return facts.track, facts.reverse, facts.seed, facts.difficulty, facts.laps
+
+
+def _compare(
+    entry: Entry, folder: Path, claimed: dict[str, Any], results: Mapping[int, RaceResult]
+) -> None:
     """Compares all numbers of an entry with those of the races that were run again."""
-    plan = entry.plan
-    measured = race_outcomes(plan, results)
+    measured = _compare_races(entry, folder, results)
+    if difference := _difference(claimed, json.loads(replace(entry, races=measured).to_json())):
+        _refuse(folder, [f"{ENTRY_FILE}: {difference}"])
+
+
+def _compare_races(
+    entry: Entry, folder: Path, results: Mapping[int, RaceResult]
+) -> tuple[RaceOutcome, ...]:
+    """Compares the races of an entry with their results; returns them as the results give them."""
+    measured = race_outcomes(entry.plan, results)
     problems = [
         f"race {race.number} ({race.track} {direction_name(race.reverse)}), step "
         f"{results[race.number].steps}: {difference}"
         for race, recorded in zip(measured, entry.races, strict=True)
         if (difference := _difference(_plain(asdict(recorded)), _plain(asdict(race))))
     ]
-    _refuse(problems)
-    fresh = json.loads(replace(entry, races=measured).to_json())
-    if claimed["plan"].pop("ai_races", None) is not None:
-        # An older entry: its intervals over tracks count the errors of the AI's times twice.
-        for group in (*claimed["groups"], *fresh["groups"]):
-            group.pop("clustered", None)
-    if difference := _difference(claimed, fresh):
-        _refuse([f"{ENTRY_FILE}: {difference}"])
+    _refuse(folder, problems)
+    return measured
 
 
 def _plain(values: dict[str, Any]) -> Any:

@@ -1,13 +1,17 @@
 """The benchmark programs run, save their measurements, and continue interrupted runs."""
 
+import hashlib
 import json
 import os
 import subprocess
 import sys
+import zipfile
 
 import pytest
 
+from stkzoo.suite import SuiteReport
 from tests.support.paths import ROOT
+from tests.support.suite_runs import constant, write_run
 
 pytestmark = pytest.mark.slow
 
@@ -95,6 +99,35 @@ def test_nothing_is_installed_without_consent(tmp_path):
 
 
 def test_reference_runs_that_are_not_trained_are_not_evaluated(tmp_path):
-    words = ["--tasks", "versus", "--algorithms", "ippo", "--seeds", "0", "--only-evaluate"]
-    run("suite_reference", *words, "--runs", tmp_path / "runs", "--output", tmp_path / "results")
-    assert not list((tmp_path / "results").iterdir())
+    words = ["--only", "versus-ippo-0", "--only-evaluate", "--folder", tmp_path]
+    run("suite_reference", *words)
+    assert not list(tmp_path.iterdir())
+    run("suite_reference", "--only", "versus-ippo", expected=2)
+
+
+def test_the_archive_of_reference_runs_has_digests_of_their_files(tmp_path):
+    home = write_run(tmp_path / "runs", "solo-general", "ippo", 0, constant(1.0))
+    (home / "agent").mkdir()
+    (home / "agent" / "weights.safetensors").write_bytes(b"weights")
+    (home / "checkpoint.pt").write_bytes(b"not packed")
+    words = ["--folder", tmp_path / "runs", "--output", tmp_path / "output", "--archive"]
+    archives = [tmp_path / f"{number}.zip" for number in range(2)]
+    for archive in archives:
+        run("suite_reference", *words, archive)
+    assert archives[0].read_bytes() == archives[1].read_bytes()
+    digests = json.loads((tmp_path / "output" / "digests.json").read_text())
+    assert digests["archive"] == {"name": "1.zip", "sha256": sha256(archives[1].read_bytes())}
+    with zipfile.ZipFile(archives[1]) as packed:
+        names = {name for name in packed.namelist() if not name.endswith(".stkz")}
+        assert names == {*digests["files"]}
+        assert len(packed.namelist()) - len(names) == 60 + 30
+        for name, digest in digests["files"].items():
+            assert sha256(packed.read(name)) == digest
+    weights = "solo-general-ippo-0/agent/weights.safetensors"
+    assert weights in names
+    assert "solo-general-ippo-0/checkpoint.pt" not in names
+    assert SuiteReport.load(tmp_path / "output" / "report.json").tasks[0].task == "solo-general"
+
+
+def sha256(data):
+    return hashlib.sha256(data).hexdigest()

@@ -5,8 +5,12 @@ import re
 
 import pytest
 
+from stkzoo.suite import make_report
 from tests.docs.test_extensions import extension
 from tests.support.paths import ROOT
+from tests.support.suite_runs import constant, suite_run
+
+PAGE = "explanation/suite-results.md"
 
 
 def test_the_page_of_results_shows_the_tables_of_each_benchmark():
@@ -17,10 +21,18 @@ def test_the_page_of_results_shows_the_tables_of_each_benchmark():
         assert all(" | ".join(row) in text for row in report["tables"][0]["rows"])
 
 
-def test_the_page_of_the_suite_has_its_tables_and_figures():
-    (text,) = extension("suite_page").pages().values()
-    assert re.search(r"^\| versus \| ippo \| beaten \| 3 \|", text, re.MULTILINE)
-    assert text.count("](../images/suite/") == 4
+def test_the_page_of_the_suite_has_its_tables_and_figures(tmp_path, monkeypatch):
+    page = extension("suite_page")
+    assert "# Results of the suite's reference algorithms" in page.pages()[PAGE]
+    report = make_report([suite_run("versus", "ippo", 0, constant(0.5))])
+    for name, place in (("REPORT", tmp_path / "report.json"), ("PICTURES", tmp_path)):
+        monkeypatch.setattr(page, name, place)
+    assert "have not been measured yet" in page.pages()[PAGE]
+    (tmp_path / "report.json").write_text(report.to_json())
+    page.draw_figures(report, tmp_path)
+    text = page.pages()[PAGE]
+    assert "## versus" in text
+    assert text.count("](../images/suite/") == 1  # scores; there are no logs and no comparisons
 
 
 @pytest.mark.slow

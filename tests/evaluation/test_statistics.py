@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stkzoo.evaluation.statistics import _student_t, estimate_clustered
+from stkzoo.evaluation.statistics import estimate_clustered, student_t
 
 
 def clusters_of(values):
@@ -31,7 +31,7 @@ def test_the_interval_contains_the_true_mean_over_tracks_at_the_stated_rate():
     ("freedom", "quantile"), [(3, 3.1824463), (4, 2.7764451), (5, 2.5705818), (20, 2.0859634)]
 )
 def test_few_clusters_give_the_tails_of_students_t(freedom, quantile):
-    assert _student_t(freedom) == pytest.approx(quantile, rel=1e-7)
+    assert student_t(freedom) == pytest.approx(quantile, rel=1e-7)
 
 
 def test_clusters_without_values_do_not_count():

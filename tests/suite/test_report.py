@@ -1,6 +1,7 @@
-"""Reports of runs: numbers, files and invalid results."""
+"""Reports of runs: numbers, files, and entries that are refused."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 
@@ -8,220 +9,342 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.suite import TASKS, SuiteReport, SuiteRun, load_runs, make_report, write_suite_report
+from stkzoo.evaluation import Estimate
+from stkzoo.suite import (
+    TASKS,
+    Baselines,
+    EntryRefused,
+    SuiteReport,
+    load_runs,
+    make_report,
+    write_suite_report,
+)
+from stkzoo.suite.population import POPULATION, population_digests
 from stkzoo.suite.report.document import NORMALIZED
+from stkzoo.suite.report.runs import HELD_OUT, SEEN
 from stkzoo.suite.report.writing import report_sections
-from stkzoo.suite.scores import scale_ends
-from tests.support.suite_runs import suite_run, write_run
+from stkzoo.suite.tasks import SUITE
+from tests.support.entries import SMALL, change_header, read_entry, replay_of, write_entry
+from tests.support.suite_runs import constant, evaluation_of, plan_of, suite_run, write_run
 
-FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "profiles.svg"}
+FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "learning_curves.svg"}
 
 
-def constant(value):
-    return lambda *_: value
+@pytest.fixture(autouse=True)
+def known_ends(monkeypatch):
+    """Makes 0.25 and 0.75 the ends of the scale of *versus*; the other tasks have none."""
+    ends = {"random": Estimate(0.25, None, None), "pretrained:zenith": Estimate(0.75, None, None)}
+    digests = {name: task.digest for name, task in TASKS.items()}
+    made_up = Baselines(SUITE, digests, population_digests(), {"versus": ends})
+    for module in ("scores", "report.writing"):
+        monkeypatch.setattr(f"stkzoo.suite.{module}.load_baselines", lambda: made_up)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Writes two runs, and an entry of a driver."""
+    folder = tmp_path_factory.mktemp("runs")
+    for seed in (0, 1):
+        write_run(folder, "solo-1", "ippo", seed, constant(1.0 + seed / 10))
+    return folder
 
 
 @pytest.fixture
-def two_runs(tmp_path):
-    """Writes the files of two runs."""
-    return [write_run(tmp_path, suite_run("versus", "ippo", seed)) for seed in (0, 1)]
+def runs(written, tmp_path):
+    """Returns a copy of that folder."""
+    return shutil.copytree(written, tmp_path / "runs")
 
 
 # ------------------------------------------------------------------ numbers
 
 
-def test_scores_are_on_the_scale_of_the_baselines():
-    weakest, strongest = scale_ends("versus")
-    value = (weakest + strongest) / 2
-    report = make_report([suite_run("versus", "ippo", 0, constant(value))])
-    (task,) = report.tasks
-    (own,) = task.algorithms
+def only_algorithm(*runs):
+    (task,) = make_report(runs).tasks
+    (algorithm,) = task.algorithms
+    return task, algorithm
+
+
+def test_scores_are_on_the_scale_of_random_and_zenith():
+    task, ippo = only_algorithm(suite_run("versus", "ippo", 0, constant(0.5), constant(0.75)))
     assert task.scale == NORMALIZED
-    assert own.score.value == pytest.approx(value)
-    assert own.iqm.value == pytest.approx(0.5)
-    assert own.gap.value == pytest.approx(0.0)
-    assert own.seeds == (0,)
+    assert ippo.over_runs == Estimate(0.5, None, None)
+    assert (ippo.iqm.value, ippo.gap.value) == (pytest.approx(0.5), pytest.approx(0.5))
+    assert ippo.train_score.value == 0.75
+    assert ippo.seeds == (0,)
+    text = report_sections(make_report([suite_run("versus", "ippo", 0, constant(0.5))]), {})
+    assert "in the same races, *random* has 0 and *zenith* 1." in text
 
 
-def test_a_task_without_baselines_has_the_metric_as_its_scale(monkeypatch):
-    monkeypatch.setattr(
-        "stkzoo.suite.scores.Baselines.has", lambda _, task: task in ("versus", "team-2v2")
-    )
-    runs = [suite_run(task, "ippo", 0, constant(0.5)) for task in ("selfplay-5", "versus")]
-    runs.append(suite_run("solo-1", "ippo", 0, constant(1.2)))
-    found = {task.task: task for task in make_report(runs).tasks}
-    assert found["selfplay-5"].scale == "beaten"
-    assert found["selfplay-5"].algorithms[0].iqm.value == pytest.approx(0.5)
-    assert found["solo-1"].scale == "time_ratio"
-    assert found["solo-1"].algorithms[0].iqm.value == pytest.approx(-1.2)
-    text = report_sections(make_report(runs), {})
-    assert "`solo-1`, `selfplay-5`: the baselines have not been measured" in text
+@pytest.mark.parametrize(
+    ("name", "facts", "iqm", "text"),
+    [
+        ("team-2v2", {}, 0.5, "*IQM* and *gap* are the metric."),
+        ("solo-1", {}, -0.5, "*IQM* and *gap* are the metric with a minus sign."),
+        ("versus", {"fresh": "a"}, 0.5, 'The seeds of the races are drawn from "a".'),
+    ],
+)
+def test_without_ends_of_the_scale_scores_are_the_metric(name, facts, iqm, text):
+    runs = [suite_run(name, "ippo", 0, constant(0.5), **facts)]
+    task, ippo = only_algorithm(*runs)
+    assert task.scale == task.metric
+    assert ippo.iqm.value == pytest.approx(iqm)
+    assert text in report_sections(make_report(runs), {})
 
 
-def test_the_gap_is_positive_if_training_tracks_have_better_scores():
-    tracks = set(TASKS["versus"].test_tracks)
+def test_intervals_over_runs_and_over_tracks_are_those_of_student():
+    tracks = TASKS["versus"].test_tracks
+
+    def on_two_tracks(order, _):
+        return order.settings.track in tracks[:2]
+
+    runs = [suite_run("versus", "ippo", seed, constant(seed / 4)) for seed in range(3)]
+    _, ippo = only_algorithm(*runs)
+    assert ippo.over_tracks == Estimate(0.25, None, None)
+    assert ippo.over_runs.interval == pytest.approx((0.25 - 0.621, 0.25 + 0.621), abs=1e-3)
+    _, ippo = only_algorithm(suite_run("versus", "ippo", 0, on_two_tracks))
+    assert ippo.over_runs == Estimate(pytest.approx(1 / 3), None, None)
+    assert ippo.over_tracks.interval == pytest.approx((1 / 3 - 0.542, 1 / 3 + 0.542), abs=1e-3)
+
+
+def test_forms_and_seen_and_held_out_rivals_have_scores_of_their_own():
+    held_out = {member.driver for member in POPULATION if member.is_held_out}
+
+    def beats_held_out(order, kart):
+        return order.drivers[kart] in held_out
+
+    run = suite_run("selfplay-5", "ippo", 0, beats_held_out)
+    _, ippo = only_algorithm(run)
+    assert list(ippo.parts) == ["PBBBB", "PPPPB", SEEN, HELD_OUT]
+    assert (ippo.parts[SEEN].value, ippo.parts[HELD_OUT].value) == (0.0, 1.0)
+    races = run.test.entry.races
+    for form in ("PBBBB", "PPPPB"):
+        beaten = [race.beaten for race in races if race.form == form]
+        assert ippo.parts[form].value == pytest.approx(sum(beaten) / len(beaten))
+    _, alone = only_algorithm(suite_run("versus", "ippo", 0, constant(0.5)))
+    assert list(alone.parts) == ["PAAAA"]
+    text = report_sections(make_report([run]), {})
+    assert "| algorithm | PBBBB | PPPPB | seen rivals | held-out rivals |" in text
+
+
+def test_classes_are_ranked_apart_and_variants_have_rows_of_their_own():
     runs = [
-        suite_run("versus", "ippo", seed, lambda track, *_: 0.25 if track in tracks else 0.5)
-        for seed in (0, 1)
+        *(suite_run("versus", name, 0, constant(0.5)) for name in ("ippo", "mappo")),
+        suite_run("versus", "ippo", 0, constant(0.25), variant="argmax"),
+        suite_run("versus", "rules", 0, constant(0.75), agent_class="scripted"),
+        suite_run("versus", "copies", 0, constant(1.0), agent_class="search"),
     ]
     (task,) = make_report(runs).tasks
-    (own,) = task.algorithms
-    weakest, strongest = scale_ends("versus")
-    assert own.gap.value == pytest.approx(0.25 / (strongest - weakest))
-    assert (own.score.value, own.train_score.value) == (0.25, 0.5)
+    pairs = {(pair.first, pair.second) for pair in task.improvements}
+    assert pairs == {("ippo", "mappo"), ("ippo", "ippo (argmax)"), ("mappo", "ippo (argmax)")}
+    text = report_sections(make_report(runs), {})
+    for line in (
+        "### Learned agents",
+        "### Scripted agents",
+        "### Search agents",
+        "| algorithm | variant | runs | beaten |",
+        "| ippo | - | 1 | 0.500 |",
+        "| ippo | argmax | 1 | 0.250 |",
+        "| rules | - | 1 | 0.750 |",
+    ):
+        assert line in text, text
+    assert "variant" not in report_sections(make_report(runs[:2]), {})
+
+
+def test_the_power_follows_from_the_variance_between_runs():
+    runs = [
+        suite_run("versus", name, seed, constant(seed / 4 + start))
+        for name, start in (("ippo", 0), ("mappo", 0.5))
+        for seed in (0, 1)
+    ]
+    task, *_ = make_report(runs).tasks
+    assert (task.power.freedom, task.power.deviation) == (2, pytest.approx(0.25 / 2**0.5))
+    assert task.power.runs == {"0.05": 198, "0.1": 51}
+    text = report_sections(make_report(runs), {})
+    assert "a difference of 0.05 with 198 runs of each algorithm and of 0.1 with 51 runs" in text
+    assert make_report(runs[:1]).tasks[0].power is None
 
 
 # ------------------------------------------------------------------ files
 
 
 @pytest.mark.slow
-def test_a_report_has_all_its_files_and_is_reproducible(two_runs, tmp_path, capsys):
+def test_a_report_has_all_its_files_and_is_reproducible(runs, tmp_path, capsys):
+    driver = replace(plan_of("solo-1", "rules", 0, agent_class="scripted"))
+    evaluation_of(driver, constant(0.9), tmp_path / "entries" / "rules")
+    paths = [str(runs), str(tmp_path / "entries")]
     one, two = tmp_path / "one", tmp_path / "two"
-    assert main(["suite", "report", *map(str, two_runs), "--output", str(one)]) == 0
-    assert f"Wrote the report of 2 runs to {one / 'report.md'}" in capsys.readouterr().out
-    write_suite_report([tmp_path], two)
-    names = {file.name for file in one.iterdir()}
-    assert names == FILES | {"learning_curves.svg"}  # a single algorithm has no comparison
-    for name in names:
+    assert main(["suite", "report", *paths, "--output", str(one)]) == 0
+    assert f"Wrote the report of 3 runs to {one / 'report.md'}" in capsys.readouterr().out
+    write_suite_report([*paths, runs / "solo-1-ippo-0"], two)
+    assert {file.name for file in one.iterdir()} == FILES  # a single learned algorithm
+    for name in FILES:
         assert (one / name).read_bytes() == (two / name).read_bytes(), name
     report = SuiteReport.load(one / "report.json")
-    assert report == make_report(load_runs(two_runs))
-    assert "| versus | ippo | beaten | 2 |" in (one / "report.md").read_text()
-
-
-def test_a_run_that_fails_on_one_track_makes_the_interval_wide():
-    """Both directions of a track fail together, so a draw without the track has no failure."""
-
-    def failing(track, *_):
-        return 3.0 if track == "zengarden" else 1.0
-
-    runs = [suite_run("solo-general", "ippo", seed, failing) for seed in (0, 1)]
-    ((own,),) = (task.algorithms for task in make_report(runs).tasks)
-    assert own.score.interval == pytest.approx((1.0, 2.2))  # from no draw to three of five
-
-
-def test_a_folder_of_results_cannot_be_the_folder_of_the_report(two_runs, tmp_path, capsys):
-    (tmp_path / "link").symlink_to(tmp_path)
-    assert main(["suite", "report", str(tmp_path), "--output", str(tmp_path / "link")]) == 2
-    assert "link has the results, and the next report would" in capsys.readouterr().err
-    assert {*tmp_path.glob("*.json")} == {*two_runs}
+    assert report == make_report(load_runs(paths))
+    ippo, rules = report.tasks[0].algorithms
+    assert (ippo.kart_steps, ippo.training_hours) == (2e6, pytest.approx(2000 / 3600))
+    assert ippo.returns.values[-1] == pytest.approx(97.5)
+    assert rules.returns is rules.gap is None
+    assert "| ippo | 2 | 1.050 | 0.415..1.685 | - |" in (one / "report.md").read_text()
 
 
 @pytest.mark.slow
-def test_two_algorithms_are_compared(tmp_path):
-    for name in ("ippo", "mappo"):
-        write_run(tmp_path, suite_run("versus", name, 0))
-    write_suite_report([tmp_path], tmp_path / "report")
-    assert (tmp_path / "report" / "improvement.svg").exists()
-    assert "| versus | ippo | mappo |" in (tmp_path / "report" / "report.md").read_text()
-
-
-def test_a_run_without_completed_races_has_no_learning_curve(tmp_path):
-    run = suite_run("versus", "ippo", 0)
-    nothing = (None,) * len(run.curve.kart_steps)
-    curve = replace(run.curve, returns=nothing, finished=nothing, position=nothing)
-    write_run(tmp_path, replace(run, curve=curve))
-    write_suite_report([tmp_path], tmp_path / "report")
-    assert {file.name for file in (tmp_path / "report").iterdir()} == FILES
-
-
-@pytest.mark.slow
-def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(tmp_path):
-    runs = [write_run(tmp_path, suite_run("versus", "ippo", seed)) for seed in (0, 1)]
-    write_suite_report(runs, tmp_path / "report")
-    found = json.loads((tmp_path / "report" / "marl_eval.json").read_text())
-    assert list(found) == ["stkzoo-suite-1", "stkzoo-suite-1-training"]
+def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(runs, tmp_path):
+    write_suite_report([runs], tmp_path / "report")
+    environments = json.loads((tmp_path / "report" / "marl_eval.json").read_text())
+    assert list(environments) == ["stkzoo-suite-1", "stkzoo-suite-1-training"]
     for environment, metrics in zip(
-        found.values(), ({"score"}, {"return", "finished", "position"}), strict=True
+        environments.values(), ({"score"}, {"return", "finished", "position"}), strict=True
     ):
-        own = environment["versus"]["ippo"]
-        assert list(own) == ["seed_0", "seed_1"]
-        for steps in own.values():
+        seeds = environment["solo-1"]["ippo"]
+        assert list(seeds) == ["seed_0", "seed_1"]
+        for steps in seeds.values():
             assert set(steps["absolute_metrics"]) == metrics
             counts = [step["step_count"] for name, step in steps.items() if "step_" in name]
             assert counts == sorted(counts)
             assert all(set(step) - {"step_count"} == metrics for step in steps.values())
             assert list(steps)[:-1] == [f"step_{n}" for n in range(len(counts))]
-    score = found["stkzoo-suite-1"]["versus"]["ippo"]["seed_0"]["absolute_metrics"]["score"]
-    assert len(score) == TASKS["versus"].num_races
+    score = environments["stkzoo-suite-1"]["solo-1"]["ippo"]["seed_0"]["absolute_metrics"]["score"]
+    assert score == pytest.approx([-1.0] * TASKS["solo-1"].num_races)
 
 
-def test_a_missing_library_is_named(two_runs, tmp_path, monkeypatch, capsys):
+def test_a_missing_library_is_named(runs, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert main(["suite", "report", str(two_runs[0]), "--output", str(tmp_path / "report")]) == 2
+    assert main(["suite", "report", str(runs), "--output", str(tmp_path / "report")]) == 2
     assert (
         "the plot needs matplotlib (extra report), which is not installed"
         in capsys.readouterr().err
     )
 
 
-# ------------------------------------------------------------------ invalid results
+@pytest.mark.matrix
+def test_an_agent_is_trained_evaluated_verified_and_reported(tmp_path, monkeypatch, capsys):
+    """The commands of the documentation follow each other without any other program."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(TASKS, SMALL.name, replace(SMALL, forms=("P",), metric="time_ratio"))
+    for seed in ("0", "1"):
+        agent = f"runs/small-ippo-{seed}/agent"
+        words = ["small", "ippo", "--kart-steps", "200", "--seed", seed]
+        assert main(["suite", "train", *words]) == 0
+        assert f"stkzoo suite evaluate small {agent}" in capsys.readouterr().out
+        for split in ("test", "train"):
+            assert main(["suite", "evaluate", "small", agent, "--split", split]) == 0
+    assert main(["suite", "verify", "runs/small-ippo-1/entry", "--agent", agent]) == 0
+    assert main(["suite", "report", "runs"]) == 0
+    assert "Wrote the report of 2 runs to suite/report/report.md" in capsys.readouterr().out
+    assert "| ippo | 2 |" in (tmp_path / "suite" / "report" / "report.md").read_text()
 
 
-def changed(file, **changes):
-    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+# ------------------------------------------------------------------ refused
+
+
+def test_result_files_without_an_entry_are_refused_in_one_sentence(tmp_path, capsys):
+    files = [tmp_path / f"versus-nova-{seed}.json" for seed in range(3)]
+    for file in files:
+        file.write_text(json.dumps({"type": "suite-run", "score": 1.0}))
+    for paths in (files, [tmp_path], [tmp_path / "nothing"]):
+        assert main(["suite", "report", *map(str, paths)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert f"{paths[0]} has no entry (entry.json, replays); expected the folder of" in error
+
+
+def change_entry(folder, change):
+    entry = read_entry(folder)
+    change(entry)
+    write_entry(folder, entry)
+
+
+def finish_sooner(entry):
+    race = entry["races"][0]
+    race["time_ratio"] = 0.5
+    race["karts"][0]["time"] /= 2
+
+
+def swap_replays(folder):
+    one, two = (replay_of(folder, number) for number in (0, 2))
+    first = one.read_bytes()
+    one.write_bytes(two.read_bytes())
+    two.write_bytes(first)
+    change_entry(folder, lambda entry: entry["replays"].insert(0, entry["replays"].pop(2)))
+    change_entry(folder, lambda entry: entry["replays"].insert(2, entry["replays"].pop(1)))
 
 
 @pytest.mark.parametrize(
-    ("changes", "text"),
+    ("change", "error", "message"),
     [
-        ({"type": "suite-entry"}, "expected a suite-run of version 1"),
-        ({"suite": "stkzoo-suite-0"}, "the suite is 'stkzoo-suite-0', expected stkzoo-suite-1"),
-        ({"task": "verus"}, "versus"),
-        ({"task_digest": "0" * 64}, "another definition of versus"),
-        ({"algorithm": "a | b"}, "$.algorithm"),
-        ({"kart_steps": 200_000_000}, "and the curve ends at 2,000,000; expected the same"),
-        ({"budget": 2_000_001}, "kart_steps is 2,000,000, expected 2,000,001 (the budget) to"),
-        ({"budget": 1_899_999}, "expected 1,899,999 (the budget) to 1,999,999; end the training"),
+        (
+            lambda folder: change_entry(folder, finish_sooner),
+            EntryRefused,
+            r"is refused:\nrace 0 \(lighthouse forward\), step 1: karts\[0\]\.time is",
+        ),
+        (
+            lambda folder: change_header(folder, 1, lambda header: header.update(status="x")),
+            EntryRefused,
+            r"race 1 \(lighthouse reversed\): the replay is not the one of entry\.json",
+        ),
+        (swap_replays, EntryRefused, "race 0 .*: the replay is of another race"),
+        (lambda folder: replay_of(folder, 3).unlink(), EntryRefused, "see 00003.stkz"),
+        (
+            lambda folder: change_entry(
+                folder, lambda e: [e[n].pop() for n in ("races", "replays")]
+            ),
+            EntryRefused,
+            "it has 19 of 20 races",
+        ),
+        (
+            lambda folder: change_entry(folder, lambda e: e["plan"].update(task_digest="0" * 64)),
+            EntryRefused,
+            "task_digest of the plan is not that of solo-1",
+        ),
+        (
+            lambda folder: change_entry(
+                folder, lambda entry: entry["plan"]["about"].update(agent_class=None)
+            ),
+            ConfigError,
+            "'ippo 0' has no class; choose one of",
+        ),
+        (
+            lambda folder: change_entry(
+                folder, lambda entry: entry["plan"]["about"].update(kart_steps=1_950_000)
+            ),
+            ConfigError,
+            "agent with 1950000 kart-steps, and .*log.jsonl ends at 2000000",
+        ),
+        (
+            lambda folder: (folder.parent / "log.jsonl").write_text("[]\n"),
+            ConfigError,
+            "log.jsonl is not the log of a training",
+        ),
+        (
+            lambda folder: shutil.copytree(folder, folder.parent / "copy"),
+            ConfigError,
+            r"are of the same run, solo-1, ippo, 0; leave one out",
+        ),
+        (
+            shutil.rmtree,
+            ConfigError,
+            "entry-train has the training tracks of solo-1, ippo, 0, and its entry is missing",
+        ),
     ],
 )
-def test_an_invalid_field_is_an_error_that_names_the_file(two_runs, changes, text):
-    changed(two_runs[0], **changes)
-    with pytest.raises(ConfigError) as caught:
-        load_runs(two_runs)
-    assert str(two_runs[0]) in str(caught.value)
-    assert text in str(caught.value)
+def test_a_changed_entry_is_refused(runs, change, error, message):
+    change(runs / "solo-1-ippo-0" / "entry")
+    with pytest.raises(error, match=message):
+        load_runs([runs])
 
 
-def with_races(file, change):
-    test = json.loads(file.read_text())["test"]
-    change(test)
-    changed(file, test=test)
-
-
-def test_a_missing_race_is_refused(two_runs):
-    with_races(two_runs[0], lambda test: test["races"].pop())
-    with pytest.raises(ConfigError, match="test has 9 races of zengarden reversed PAAAA, expected"):
-        load_runs(two_runs)
-
-
-def test_a_score_that_does_not_follow_from_the_races_is_refused(two_runs):
-    with_races(two_runs[0], lambda test: test["score"].update(value=0.99))
-    with pytest.raises(ConfigError, match=r"test has the score 0\.99; its races give"):
-        load_runs(two_runs)
-
-
-def test_a_time_ratio_above_the_time_limit_is_refused(tmp_path):
-    file = write_run(tmp_path, suite_run("solo-1", "ippo", 0))
-    with_races(file, lambda test: test["races"][0].update(value=3.5))
-    with pytest.raises(ConfigError, match=r"test has a race with time_ratio 3\.5, expected <= 3"):
-        load_runs([file])
-
-
-def test_the_same_run_twice_is_refused(two_runs, tmp_path):
-    copy = tmp_path / "copy.json"
-    copy.write_bytes(two_runs[0].read_bytes())
-    with pytest.raises(ConfigError, match="are the same run, versus-ippo-0"):
-        load_runs([two_runs[0], copy])
-
-
-def test_runs_with_different_budgets_are_refused(two_runs):
-    changed(two_runs[1], budget=1_950_000)
-    with pytest.raises(ConfigError, match="write a report for each budget"):
-        load_runs(two_runs)
-
-
-def test_a_result_survives_its_file(two_runs):
-    run = suite_run("versus", "ippo", 0)
-    assert SuiteRun.load(two_runs[0]) == run
-    assert len(two_runs[0].read_bytes()) < 60_000
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        (
+            {"fresh": "a"},
+            r"are those of the task \(.*\) and fresh ones from 'a' \(.*mappo\); write a",
+        ),
+        ({"kart_steps": 10_000_000}, r"learned from 2,000,000 \(.*\) and 10,000,000 \(.*mappo"),
+    ],
+)
+def test_runs_that_cannot_be_compared_are_refused(runs, facts, message):
+    evaluation_of(plan_of("solo-1", "mappo", 0, **facts), constant(1.0), runs / "mappo")
+    with pytest.raises(ConfigError, match=message):
+        load_runs([runs])

@@ -1,4 +1,4 @@
-"""Normalized scores are relative to the weakest and the strongest baseline."""
+"""Normalized scores: *random* has 0 and *zenith* has 1."""
 
 import json
 from dataclasses import asdict
@@ -6,15 +6,16 @@ from dataclasses import asdict
 import pytest
 
 from stkzoo.evaluation import Estimate
-from stkzoo.suite import SUITE, TASKS, Baselines, load_baselines, normalized
+from stkzoo.suite import SUITE, TASKS, Baselines, load_baselines, normalized, scores
 from stkzoo.suite.population import population_digests
-from stkzoo.suite.scores import scale_ends
+from stkzoo.suite.scores import ONE, ZERO, scale_ends
 
 
 def baselines(task, values, digest=None, suite=SUITE, population=None):
-    scores = {task: {str(n): Estimate(value, None, None) for n, value in enumerate(values)}}
+    names = (ZERO, ONE, "ai")
+    ends = {name: Estimate(v, None, None) for name, v in zip(names, values, strict=False)}
     met = population_digests() if population is None else population
-    return Baselines(suite, {task: digest or TASKS[task].digest}, met, scores)
+    return Baselines(suite, {task: digest or TASKS[task].digest}, met, {task: ends})
 
 
 @pytest.fixture
@@ -29,13 +30,13 @@ def measure(monkeypatch):
 
 
 def test_a_larger_share_of_beaten_karts_is_better(measure):
-    measure("versus", [0.4, 0.2, 0.8])
+    measure("versus", [0.2, 0.8, 0.9])
     found = [normalized("versus", score) for score in (0.2, 0.8, 0.5, 0.95)]
     assert found == pytest.approx([0.0, 1.0, 0.5, 1.25])
 
 
 def test_a_smaller_time_ratio_is_better(measure):
-    measure("solo-1", [0.9, 0.8, 1.4])
+    measure("solo-1", [1.4, 0.8, 0.7])
     found = [normalized("solo-1", score) for score in (1.4, 0.8, 1.1, 0.74)]
     assert found == pytest.approx([0.0, 1.0, 0.5, 1.1])
 
@@ -54,12 +55,17 @@ def test_scores_against_another_population_are_not_baselines():
     assert baselines("versus", [0.1, 0.9], population=other).has("versus")
 
 
-def test_the_shipped_baselines_match_the_tasks():
-    found = load_baselines()
-    for task, scores in found.scores.items():
-        weakest, strongest = scale_ends(task)
-        assert weakest != strongest
-        values = [normalized(task, score.value) for score in scores.values()]
-        assert (min(values), max(values)) == (0.0, 1.0)
-        assert len(scores) == 6
-    assert json.dumps(asdict(found))
+@pytest.mark.parametrize("name", [ZERO, ONE])
+def test_both_ends_of_the_scale_are_needed(measure, name):
+    measure("versus", [0.2, 0.8])
+    del scores.load_baselines().scores["versus"][name]
+    assert normalized("versus", 0.5) is None
+    assert scale_ends("versus") == (0.0, 1.0)
+
+
+def test_the_shipped_scores_give_the_ends_of_the_scale():
+    shipped = load_baselines()
+    for task in filter(shipped.has, TASKS):
+        ends = [normalized(task, shipped.scores[task][name].value) for name in (ZERO, ONE)]
+        assert ends == [0.0, 1.0]
+    assert json.dumps(asdict(shipped))

@@ -7,12 +7,12 @@ from stkzoo.evaluation import Estimate
 from stkzoo.suite.report.statistics import (
     ScoreTable,
     estimate,
-    estimate_curve,
+    estimate_t,
     gap,
     improvement,
     interquartile_mean,
     mean,
-    performance_profile,
+    runs_needed,
 )
 
 #: Three runs and two runs in four columns; the expected values below are those of rliable 1.2.0.
@@ -27,12 +27,6 @@ def table(scores, runs="runs", tracks="tracks", directions=1):
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
     assert interquartile_mean(SCORES) == pytest.approx(0.5)
     assert interquartile_mean(np.array([[0.0, 1.0, 3.0, 1000.0]])) == pytest.approx(2.0)
-
-
-def test_the_profile_is_the_share_of_scores_above_each_threshold():
-    profile = performance_profile(np.array([0.0, 0.2, 0.5, 0.8, 1.0]))
-    expected = [1.0, 0.75, 0.41666667, 0.16666667, 0.08333333]
-    assert profile(SCORES) == pytest.approx(expected)
 
 
 def test_the_probability_of_improvement_counts_ties_half():
@@ -90,10 +84,15 @@ def test_simulated_intervals_contain_the_true_mean():
     assert 85 <= hits <= 100
 
 
-def test_a_curve_has_a_band():
-    thresholds = np.linspace(0, 1, 11)
-    values, low, high = estimate_curve(performance_profile(thresholds), table(SCORES))
-    assert values.shape == low.shape == high.shape == (11,)
-    assert (low <= high).all()
-    assert (np.diff(values) <= 0).all()
-    assert estimate_curve(performance_profile(thresholds), table(SCORES[:1]))[1:] == (None, None)
+@pytest.mark.parametrize(
+    ("deviation", "difference", "runs"),
+    [(1, 0.5, 64), (1, 0.8, 26), (1, 1, 17), (1, 2, 6), (0, 1, 2)],
+)
+def test_the_number_of_runs_for_80_percent_power_is_that_of_the_t_test(deviation, difference, runs):
+    """The expected numbers are those of G*Power 3.1."""
+    assert runs_needed(deviation, difference) == runs
+
+
+def test_an_interval_of_student_needs_two_different_values():
+    assert estimate_t([1.0]) == estimate_t([1.0, 1.0]) == Estimate(1.0, None, None)
+    assert estimate_t([0.0, 1.0, 2.0]).interval == pytest.approx((1 - 2.4841, 1 + 2.4841), abs=1e-4)

@@ -13,10 +13,11 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.race.result import RaceResult
-from stkzoo.suite import TASKS, Entry, EntryRefused, evaluate, plan_entry, verify_entry
+from stkzoo.suite import TASKS, About, Entry, EntryRefused, evaluate, plan_entry, verify_entry
 from stkzoo.suite.entry import ENTRY_FILE, entry_orders
 from stkzoo.suite.verification import _compare
 from tests.support.entries import (
+    SAMPLER,
     SMALL,
     change_controls,
     change_header,
@@ -31,13 +32,21 @@ from tests.support.remote_race import write_agent
 ALONE, WITH_RIVAL, WITH_DRIVER, ALONE_IN_REVERSE = range(4)
 
 
+#: The agent of the honest entry, in its folder.
+AGENT = "agent.py"
+SCRIPTED = About(agent_class="scripted")
+
+
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory):
-    """Creates an entry with six races; returns its folder."""
+    """Creates an entry with six races of an agent from a file; returns its folder."""
     folder = tmp_path_factory.mktemp("entry") / "honest"
+    folder.mkdir()
+    (folder / AGENT).write_text(SAMPLER)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(TASKS, SMALL.name, SMALL)
-        evaluate(SMALL, "heuristic@:Ada", output=folder, plot=False)
+        agent = f"{folder / AGENT}@:Ada"
+        evaluate(SMALL, agent, output=folder, about=SCRIPTED, plot=False)
         yield folder
 
 
@@ -47,10 +56,31 @@ def entry(honest, tmp_path):
     return shutil.copytree(honest, tmp_path / "entry")
 
 
-def refusal(folder):
+def refusal(folder, **options):
     with pytest.raises(EntryRefused) as caught:
-        verify_entry(folder, jobs=1)  # starts one program instead of one per core
+        verify_entry(folder, jobs=1, **options)  # starts one program instead of one per core
     return str(caught.value)
+
+
+def rename(folder, source, label, **about):
+    """Gives the agent of an entry another source and name, in the card and in all replays."""
+    card = read_entry(folder)
+    (agent,) = card["plan"]["agents"]
+    before = agent["label"]
+    agent.update(source=source, label=label, files={})
+    card["agent"] = label
+    card["plan"]["about"].update(about)
+    write_entry(folder, card)
+
+    def change(header):
+        for row in header["agents"]:
+            row.update({"source": source, "name": label} if row["name"] == before else {})
+        for row in header["result"]["agents"]:
+            row.update({"source": source, "driver": label} if row["driver"] == before else {})
+
+    for number in range(len(card["races"])):
+        change_header(folder, number, change)
+    name_replays(folder)
 
 
 @pytest.mark.slow
@@ -58,16 +88,40 @@ def test_an_honest_entry_is_verified_without_stored_race_results(entry, capsys):
     shutil.rmtree(entry / "races")
     (entry / "plan.json").unlink()
     assert main(["suite", "verify", str(entry)]) == 0
-    assert "Verified: all 6 races are as recorded" in capsys.readouterr().out
+    *_, verified, proof = capsys.readouterr().out.splitlines()
+    assert verified == "Verified: all 6 races are as recorded, to the last bit."
+    assert proof == (
+        "Proven: the races took place. Not proven: that Ada drove; with its files, "
+        "`stkzoo suite verify ENTRY --agent AGENT` proves it."
+    )
 
 
 @pytest.mark.slow
-def test_an_entry_with_older_intervals_over_tracks_is_verified(entry):
-    card = read_entry(entry)
-    card["plan"]["ai_races"] = {"lighthouse": {"forward": [[31.0, None]]}}
-    card["groups"][0]["clustered"]["time_ratio"] = {"value": 1.0, "low": 0.5, "high": 1.5}
-    write_entry(entry, card)
-    assert verify_entry(entry, jobs=1).is_complete
+def test_an_agent_that_samples_drives_its_entry_again(entry, tmp_path, capsys):
+    assert main(["suite", "verify", str(entry), "--agent", str(entry / AGENT)]) == 0
+    *_, proof = capsys.readouterr().out.splitlines()
+    assert proof.startswith(f"Proven: {entry / AGENT} drove in all races. Not proven: what")
+    other = tmp_path / "other.py"
+    other.write_text(SAMPLER.replace("normal(0, 0.1)", "normal(0, 0.2)"))
+    text = refusal(entry, agent=str(other))
+    for number in range(6):
+        assert re.search(rf"race {number} .*: step 1 has other controls of kart_\d than Ada", text)
+    with pytest.raises(ConfigError, match=r"there is no agent 'nothing\.py'"):
+        verify_entry(entry, agent="nothing.py")
+
+
+@pytest.mark.slow
+def test_the_entry_of_another_agent_is_not_that_of_a_driver_of_stkzoo(entry, capsys):
+    """A name that is no driver of stkzoo is unproven; a driver of stkzoo drives again."""
+    rename(entry, "runs/versus-ippo-0/agent", "ippo of stkzoo, seed 0", agent_class="learned")
+    assert main(["suite", "verify", str(entry)]) == 0
+    assert "Not proven: that ippo of stkzoo, seed 0 drove" in capsys.readouterr().out
+    rename(entry, "runs/agent", "pretrained:zenith")
+    with pytest.raises(ConfigError, match="is called 'pretrained:zenith', like a driver of stkzoo"):
+        verify_entry(entry)
+    rename(entry, "heuristic", "heuristic", agent_class="scripted")
+    text = refusal(entry)
+    assert re.search(r"race 0 \(lighthouse forward\): step 1 has other controls of kart_0", text)
 
 
 @pytest.mark.slow
@@ -118,7 +172,7 @@ def test_a_race_with_changed_conditions_is_refused(entry):
         change_header(entry, number, lambda header, pair=condition: header.update([pair]))
     name_replays(entry)
     head, *problems = refusal(entry).splitlines()
-    assert head == "the entry is refused:"
+    assert head == f"the entry {entry} is refused:"
     assert len(problems) == len(changed)
     for number, problem in enumerate(problems):
         assert re.match(rf"race {number} \(lighthouse \w+\): .*step 0", problem)
@@ -148,7 +202,7 @@ def test_numbers_that_do_not_follow_from_the_races_are_refused(entry, change, me
     races = sorted((entry / "races").glob("*.json"))
     results = {number: RaceResult.load(file) for number, file in enumerate(races)}
     with pytest.raises(EntryRefused, match=message):
-        _compare(claimed, card, results)
+        _compare(claimed, entry, card, results)
 
 
 @pytest.mark.slow
@@ -222,11 +276,24 @@ def test_other_names_in_the_replays_are_refused(entry):
 
 
 @pytest.mark.slow
-def test_an_entry_of_the_games_ai_is_verified(tmp_path, monkeypatch):
-    alone = replace(SMALL, forms=("P",))
+@pytest.mark.parametrize("driver", ["ai", "random@:Rita", "heuristic"])
+def test_an_entry_of_a_driver_of_stkzoo_is_verified_with_the_driver(
+    driver, tmp_path, monkeypatch, capsys
+):
+    alone = replace(SMALL, forms=("P",), metric="time_ratio")
     monkeypatch.setitem(TASKS, SMALL.name, alone)
-    written = evaluate(alone, "ai", output=tmp_path, plot=False)
-    assert verify_entry(tmp_path).score == written.score
+    written = evaluate(alone, driver, output=tmp_path, fresh="2026-12-01", plot=False)
+    assert main(["suite", "verify", str(tmp_path)]) == 0
+    *_, scores, _, proof = capsys.readouterr().out.splitlines()
+    assert "(scripted) in small" in scores
+    assert "2 of 2 races, fresh from '2026-12-01'" in scores
+    assert proof.startswith(f"Proven: {driver.partition('@')[0]} drove in all races.")
+    assert written.normalized_score is None
+    card = read_entry(tmp_path)
+    card["plan"]["fresh"] = "2026-12-02"
+    write_entry(tmp_path, card)
+    with pytest.raises(ConfigError, match=r"race 0 of the suite entry is .*, expected"):
+        verify_entry(tmp_path)
 
 
 @pytest.mark.slow
@@ -234,8 +301,9 @@ def test_an_entry_of_an_agent_that_fails_is_verified(tmp_path, monkeypatch):
     pair = replace(SMALL, forms=("PPB",))
     monkeypatch.setitem(TASKS, SMALL.name, pair)
     agent = write_agent(tmp_path, "bad", act="raise KeyError()")
-    written = evaluate(pair, agent, output=tmp_path / "entry", plot=False)
+    written = evaluate(pair, agent, output=tmp_path / "entry", about=SCRIPTED, plot=False)
     assert verify_entry(tmp_path / "entry").races == written.races
+    assert verify_entry(tmp_path / "entry", agent=agent).races == written.races
 
 
 @pytest.mark.slow

@@ -14,6 +14,22 @@ from stkzoo._os import write_zip
 from stkzoo.suite import Task
 from stkzoo.suite.entry import ENTRY_FILE, replay_digest
 
+#: A driver that samples: it steers like *heuristic*, with noise.
+SAMPLER = """\
+import numpy as np
+from stkzoo.agents.heuristic import create_state, env_name, get_actor as get_driver
+
+
+def get_actor(*arguments):
+    drive = get_driver(*arguments)
+
+    def act(state, observation):
+        action = drive(state, observation)
+        return {**action, "steer": np.clip(action["steer"] + np.random.normal(0, 0.1), -1, 1)}
+
+    return act
+"""
+
 #: Six races of about 400 steps: alone, and against a driver of the population.
 SMALL = Task(
     name="small",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -49,38 +50,51 @@ class AlgorithmReport:
     """The runs of an algorithm in a task.
 
     Attributes:
-        algorithm: name of the algorithm.
-        seeds: seeds of the runs.
-        score: mean of the task's metric on the test tracks.
-        train_score: mean of the task's metric on the training tracks.
+        algorithm: name of the algorithm; that of the agent without one.
+        variant: variant of the evaluation; may be empty.
+        agent_class: class of its agents: ``"learned"``, ``"scripted"`` or ``"search"``.
+        runs: number of runs.
+        seeds: known seeds of the runs.
+        over_runs: mean of the task's metric on the test tracks, with an interval over runs on the
+            same tracks (Student's t).
+        over_tracks: the same with an interval over tracks for the mean of these runs (Student's t).
         iqm: interquartile mean of the scores on the test tracks, on the task's scale.
-        gap: mean score on the training tracks minus that on the test tracks, on the task's scale.
-        profile: share of runs, tracks and directions with a score above each threshold.
+        train_score: mean of the metric on the training tracks, with an interval over runs; ``None``
+            if a run has no evaluation there.
+        gap: mean score on the training tracks minus that on the test tracks, on the task's scale;
+            ``None`` as for ``train_score``.
+        parts: mean of the metric in each race form, and share of seen and held-out rivals beaten,
+            with intervals over runs.
         returns: mean return of races during the training, by kart-steps; the band contains all
-            runs.
-        kart_steps: mean number of kart-steps of a run.
-        training_hours: mean duration of a training [h].
-        evaluation_hours: mean duration of the evaluations of a run [h].
-        cores: numbers of cores of the machines.
+            runs. ``None`` without logs.
+        kart_steps: mean number of kart-steps of a run; ``None`` if unknown.
+        training_hours: mean duration of a training [h]; ``None`` without logs.
     """
 
     algorithm: str
+    variant: str
+    agent_class: str
+    runs: int
     seeds: tuple[int, ...]
-    score: Estimate
-    train_score: Estimate
+    over_runs: Estimate
+    over_tracks: Estimate
     iqm: Estimate
-    gap: Estimate
-    profile: Band
+    train_score: Estimate | None
+    gap: Estimate | None
+    parts: Mapping[str, Estimate]
     returns: Band | None
-    kart_steps: float
-    training_hours: float
-    evaluation_hours: float
-    cores: tuple[int, ...]
+    kart_steps: float | None
+    training_hours: float | None
+
+    @property
+    def name(self) -> str:
+        """Name of the algorithm with the variant."""
+        return f"{self.algorithm} ({self.variant})" if self.variant else self.algorithm
 
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """A comparison of two algorithms.
+    """A comparison of two algorithms of the same class.
 
     Attributes:
         first: name of the first algorithm.
@@ -95,27 +109,46 @@ class Improvement:
 
 
 @dataclass(frozen=True, slots=True)
+class PowerReport:
+    """How many runs a comparison of two learned algorithms needs.
+
+    Attributes:
+        deviation: standard deviation of the metric's mean between runs of an algorithm, pooled over
+            all algorithms with several runs.
+        freedom: its degrees of freedom.
+        runs: number of runs of each algorithm that detect a difference with 80% power at 5%, by
+            difference.
+    """
+
+    deviation: float
+    freedom: int
+    runs: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
 class TaskReport:
     """The runs in a task.
 
     Attributes:
         task: name of the task.
         task_digest: :attr:`Task.digest <stkzoo.suite.Task.digest>`.
+        fresh: text from which the seeds of the races are drawn; empty for those of the task.
         metric: the task's metric.
-        scale: ``"normalized score"``, or the metric if the task has no baselines. Higher is better:
-            a time ratio has a minus sign on its scale.
-        budget: number of kart-steps to learn from.
-        algorithms: the algorithms.
-        improvements: comparisons of each pair of algorithms.
+        scale: ``"normalized score"``, or the metric if the ends of the scale are unknown. Higher is
+            better: a time ratio has a minus sign on its scale.
+        algorithms: the algorithms, by class.
+        improvements: comparisons of each pair of algorithms of the same class.
+        power: how many runs a comparison needs; ``None`` if no algorithm has several runs.
     """
 
     task: str
     task_digest: str
+    fresh: str
     metric: str
     scale: str
-    budget: int
     algorithms: tuple[AlgorithmReport, ...]
     improvements: tuple[Improvement, ...]
+    power: PowerReport | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,15 +160,15 @@ class SuiteReport(Document):
         confidence: coverage probability of the intervals.
         draws: number of draws of the bootstraps.
         tasks: the tasks that have runs.
-        versions: versions of the software that ran, by name.
+        versions: versions of the software that ran the evaluations, by name.
     """
 
     type_name: ClassVar[str] = "suite-report"
-    version: ClassVar[int] = 2  # 1: it also had all tasks together, and missing runs
+    version: ClassVar[int] = 3  # 2: it was of result files, with profiles and without classes
     origin: ClassVar[str] = "the report.json of `stkzoo suite report`"
 
     suite: str
     confidence: float
     draws: int
     tasks: tuple[TaskReport, ...]
-    versions: dict[str, tuple[str, ...]]
+    versions: Mapping[str, tuple[str, ...]]

@@ -1,4 +1,4 @@
-"""Figures of a report: learning curves, scores, profiles and comparisons."""
+"""Figures of a report: learning curves, scores and comparisons."""
 
 from __future__ import annotations
 
@@ -51,24 +51,11 @@ def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
 def learning_curves(report: SuiteReport) -> Any:
     """Returns the figure of returns during the trainings; ``None`` if there are none."""
     panels = {
-        task.task: {
-            result.algorithm: result.returns for result in task.algorithms if result.returns
-        }
+        task.task: {result.name: result.returns for result in task.algorithms if result.returns}
         for task in report.tasks
     }
     shown = {name: curves for name, curves in panels.items() if curves}
     return _curves(shown, _styles(report), "million kart-steps", "return of a race", x_unit=1e6)
-
-
-def profiles(report: SuiteReport) -> Any:
-    """Returns the figure of performance profiles."""
-    panels = {
-        f"{task.task} ({task.scale.replace('_', ' ')})": {
-            result.algorithm: result.profile for result in task.algorithms
-        }
-        for task in report.tasks
-    }
-    return _curves(panels, _styles(report), "score", "share of runs and tracks above")
 
 
 def scores(report: SuiteReport) -> Any:
@@ -77,8 +64,7 @@ def scores(report: SuiteReport) -> Any:
     for task in report.tasks:
         title = f"IQM, {task.scale.replace('_', ' ')}; more is better"
         panels.setdefault(title, []).extend(
-            (f"{task.task}, {result.algorithm}", result.algorithm, result.iqm)
-            for result in task.algorithms
+            (f"{task.task}, {result.name}", result.name, result.iqm) for result in task.algorithms
         )
     return _intervals(panels, _styles(report))
 
@@ -98,14 +84,13 @@ def improvement(report: SuiteReport) -> Any:
 _FIGURES: Mapping[str, Callable[[SuiteReport], Any]] = {
     "learning_curves": learning_curves,
     "scores": scores,
-    "profiles": profiles,
     "improvement": improvement,
 }
 
 
 def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:
     """Returns the color and the line of each algorithm."""
-    names = sorted({result.algorithm for task in report.tasks for result in task.algorithms})
+    names = sorted({result.name for task in report.tasks for result in task.algorithms})
     return {
         name: (_COLORS[number % len(_COLORS)], _LINES[number % len(_LINES)])
         for number, name in enumerate(names)

@@ -1,8 +1,8 @@
-"""Statistics over training runs: interquartile means, profiles and comparisons, with intervals.
+"""Statistics over training runs: interquartile means, comparisons, power, with intervals.
 
-All functions work on tables ``(R, C)`` of the scores of ``R`` runs in ``C`` columns, which are the
-tracks and directions of an evaluation. Higher scores are better. The interquartile mean, the
-performance profile and the probability of improvement are those of Agarwal et al. (2021).
+Most functions work on tables ``(R, C)`` of the scores of ``R`` runs in ``C`` columns, which are the
+tracks and directions of an evaluation. Higher scores are better. The interquartile mean and the
+probability of improvement are those of Agarwal et al. (2021).
 
 Their bootstrap resamples each column on its own, because a column there is a task with its own
 training runs. Here, one run drives all columns of a task, so a good run is good in all of them. A
@@ -13,20 +13,25 @@ runs, and whole tracks with both directions, independently of each other (Owen 2
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist, fmean, stdev
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.evaluation.statistics import DRAWS, Estimate, percentile_interval
+from stkzoo.evaluation.statistics import DRAWS, Estimate, percentile_interval, student_t
 
 FloatArray = npt.NDArray[np.float64]
-#: Function of tables ``(..., R, C)`` that returns one value, or one row of values, for each.
+#: Function of tables ``(..., R, C)`` that returns one value for each.
 Statistic = Callable[..., FloatArray]
 
 #: Minimum number of runs for an interval; a single run does not show how much runs differ.
 FEWEST_RUNS = 2
+#: Probability with which a difference is to be detected.
+POWER = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +50,54 @@ class ScoreTable:
     tracks: Hashable
     directions: int
 
+    @property
+    def of_runs(self) -> list[float]:
+        """Mean score of each run."""
+        values: list[float] = self.scores.mean(axis=1).tolist()
+        return values
+
+    @property
+    def of_tracks(self) -> list[float]:
+        """Mean score on each track."""
+        values: list[float] = self.scores.mean(axis=0).reshape(-1, self.directions).mean(1).tolist()
+        return values
+
+
+def estimate_t(values: Sequence[float]) -> Estimate:
+    """Returns the mean of independent values with its 95% interval by Student's t.
+
+    Args:
+        values: the values, such as the mean score of each run or on each track.
+
+    Returns:
+        The estimate. A single value, or equal values, have no interval.
+    """
+    count, mean = len(values), fmean(values)
+    if count < FEWEST_RUNS or min(values) == max(values):
+        return Estimate(mean, None, None)
+    margin = student_t(count - 1) * stdev(values) / math.sqrt(count)
+    return Estimate(mean, mean - margin, mean + margin)
+
+
+def runs_needed(deviation: float, difference: float) -> int:
+    """Returns how many runs of each of two algorithms detect a difference with 80% power.
+
+    They detect it if a two-sided t test of equal sizes at 5% does. The noncentral t distribution is
+    approximated (Abramowitz and Stegun 1964, 26.7.10).
+
+    Args:
+        deviation: standard deviation between the runs of an algorithm.
+        difference: difference of the means.
+    """
+    for count in itertools.count(FEWEST_RUNS):
+        freedom = 2 * count - 2
+        limit = student_t(freedom)
+        shift = math.inf if deviation == 0 else difference / deviation * math.sqrt(count / 2)
+        size = (shift - limit * (1 - 1 / (4 * freedom))) / math.sqrt(1 + limit**2 / (2 * freedom))
+        if NormalDist().cdf(size) >= POWER:
+            return count
+    raise AssertionError
+
 
 def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:
     """Returns a statistic with a 95% bootstrap interval over runs and tracks.
@@ -58,30 +111,13 @@ def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:
         The estimate. It has no interval if a table has fewer than :data:`FEWEST_RUNS` runs, or if
         all draws are equal.
     """
-    value, low, high = estimate_curve(statistic, *tables)
-    if low is None or high is None or low == high:
-        return Estimate(float(value), None, None)
-    return Estimate(float(value), min(float(low), float(value)), max(float(high), float(value)))
-
-
-def estimate_curve(
-    statistic: Statistic, *tables: ScoreTable
-) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Returns a statistic with several values, and both ends of their 95% intervals.
-
-    Args:
-        statistic: as for :func:`estimate`; it returns ``(..., N)``.
-        *tables: as for :func:`estimate`.
-
-    Returns:
-        Three arrays ``(N,)``: values, lower and upper ends. The ends are ``None`` if a table has
-        fewer than :data:`FEWEST_RUNS` runs.
-    """
-    value = np.asarray(statistic(*(table.scores for table in tables)))
+    value = float(statistic(*(table.scores for table in tables)))
     if min(len(table.scores) for table in tables) < FEWEST_RUNS:
-        return value, None, None
-    low, high = percentile_interval(statistic(*_resampled(tables)))
-    return value, low, high
+        return Estimate(value, None, None)
+    low, high = percentile_interval(statistic(*_resampled(tables))).tolist()
+    if low == high:
+        return Estimate(value, None, None)
+    return Estimate(value, min(low, value), max(high, value))
 
 
 def _resampled(tables: Sequence[ScoreTable]) -> list[FloatArray]:
@@ -123,25 +159,6 @@ def interquartile_mean(scores: FloatArray) -> FloatArray:
     ends = np.clip(np.arange(count + 1), count / 4, count * 3 / 4)
     shares = np.diff(ends) / (count / 2)
     return np.asarray((np.sort(values, axis=-1) * shares).sum(axis=-1))
-
-
-def performance_profile(thresholds: FloatArray) -> Statistic:
-    """Returns the statistic of a performance profile: the share of scores above each threshold.
-
-    Args:
-        thresholds: the thresholds ``(N,)``.
-
-    Returns:
-        Function of a table ``(..., R, C)`` that returns the shares ``(..., N)``.
-    """
-
-    def shares(scores: FloatArray) -> FloatArray:
-        cells = np.sort(scores.reshape(-1, scores.shape[-2] * scores.shape[-1]), axis=-1)
-        below = [np.searchsorted(row, thresholds, side="right") for row in cells]
-        above = 1.0 - np.array(below, float) / cells.shape[-1]
-        return np.asarray(above.reshape(*scores.shape[:-2], len(thresholds)))
-
-    return shares
 
 
 def improvement(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -1,9 +1,10 @@
-"""Reports of training runs in the suite: scores, comparisons and compute, with intervals."""
+"""Reports of training runs in the suite: scores, comparisons and power, with intervals."""
 
 from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,40 +14,45 @@ from typing import Any
 import numpy as np
 
 from stkzoo._os import make_folder, write_text
-from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import require_matplotlib
-from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
+from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS, Estimate
 from stkzoo.evaluation.templates import render, require_jinja2
+from stkzoo.suite.about import LEARNED
 from stkzoo.suite.report import statistics
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
     Band,
     Improvement,
+    PowerReport,
     SuiteReport,
     TaskReport,
 )
 from stkzoo.suite.report.figures import draw_figures
-from stkzoo.suite.report.results import DIRECTIONS, LearningCurve, SuiteRun, load_runs
-from stkzoo.suite.report.statistics import FloatArray, ScoreTable, estimate, estimate_curve
+from stkzoo.suite.report.runs import DIRECTIONS, LearningCurve, SuiteRun, load_runs
+from stkzoo.suite.report.statistics import (
+    FloatArray,
+    ScoreTable,
+    estimate,
+    estimate_t,
+    runs_needed,
+)
 from stkzoo.suite.scores import load_baselines, scale_ends
-from stkzoo.suite.tasks import SUITE, TASKS, TIME_RATIO, find_task
+from stkzoo.suite.tasks import SUITE, TASKS, TIME_RATIO
 
 _NUM_POINTS, _NUM_STEPS = 100, 50
 _SECONDS_PER_HOUR = 3600.0
-#: Names of MARL-eval's metrics by fields of :class:`~stkzoo.suite.report.results.LearningCurve`.
+#: Differences of the metric for which a report says how many runs detect them.
+_DIFFERENCES = (0.05, 0.1)
+#: Names of MARL-eval's metrics by fields of :class:`~stkzoo.suite.report.runs.LearningCurve`.
 _METRICS = {"returns": "return", "finished": "finished", "position": "position"}
 #: Captions of the figures, by name.
 CAPTIONS = {
     "learning_curves": "Mean return of the training races. Bands contain all runs.",
     "scores": "Interquartile mean on the test tracks, with 95% intervals.",
-    "profiles": "Share of runs, tracks and directions with a score above each value, with 95% "
-    "bands.",
     "improvement": "Probability that a run of the first algorithm is better than one of the "
     "second on a track and direction, with 95% intervals.",
 }
-#: The runs of each algorithm in a task, in the order of their seeds.
-_Groups = Mapping[str, Sequence[SuiteRun]]
 
 
 # ------------------------------------------------------------------ the numbers
@@ -56,90 +62,124 @@ def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
     """Returns the report of training runs.
 
     Args:
-        runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
+        runs: the runs, as :func:`~stkzoo.suite.report.runs.load_runs` returns them.
     """
-    groups: dict[str, dict[str, list[SuiteRun]]] = {task: {} for task in TASKS}
+    tasks: dict[str, list[SuiteRun]] = {task: [] for task in TASKS}
     versions: dict[str, set[str]] = {}
     for run in runs:
-        groups[run.task].setdefault(run.algorithm, []).append(run)
-        for name, version in run.versions.items():
+        tasks.setdefault(run.task.name, []).append(run)
+        for name, version in run.test.entry.plan.versions.items():
             versions.setdefault(name, set()).add(version)
     return SuiteReport(
         SUITE,
         CONFIDENCE,
         DRAWS,
-        tuple(_task_report(task, of_task) for task, of_task in groups.items() if of_task),
+        tuple(_task_report(of_task) for of_task in tasks.values() if of_task),
         {name: tuple(sorted(of_name)) for name, of_name in sorted(versions.items())},
     )
 
 
-def _task_report(name: str, groups: _Groups) -> TaskReport:
-    task = find_task(name)
-    tables = {algorithm: _table(runs) for algorithm, runs in groups.items()}
-    thresholds = _thresholds([*tables.values()])
-    return TaskReport(
-        name,
-        task.digest,
-        task.metric,
-        NORMALIZED if load_baselines().has(name) else task.metric,
-        next(iter(groups.values()))[0].budget,
-        tuple(_algorithm_report(runs, thresholds) for runs in groups.values()),
-        tuple(
-            Improvement(one, two, estimate(statistics.improvement, tables[one], tables[two]))
-            for one, two in itertools.combinations(tables, 2)
-        ),
-    )
-
-
-def _algorithm_report(runs: Sequence[SuiteRun], thresholds: FloatArray) -> AlgorithmReport:
-    test = _table(runs)
-    profile = estimate_curve(statistics.performance_profile(thresholds), test)
-    return AlgorithmReport(
-        runs[0].algorithm,
-        tuple(run.seed for run in runs),
-        estimate(statistics.mean, _table(runs, is_raw=True)),
-        estimate(statistics.mean, _table(runs, "train", is_raw=True)),
-        estimate(statistics.interquartile_mean, test),
-        estimate(statistics.gap, _table(runs, "train"), test),
-        Band.of(thresholds, *profile),
-        _returns(runs),
-        fmean(run.kart_steps for run in runs),
-        fmean(run.training_seconds for run in runs) / _SECONDS_PER_HOUR,
-        fmean(run.evaluation_seconds for run in runs) / _SECONDS_PER_HOUR,
-        tuple(sorted({run.cores for run in runs})),
-    )
-
-
-def _table(runs: Sequence[SuiteRun], split: str = "test", *, is_raw: bool = False) -> ScoreTable:
-    """Returns the scores on a split's tracks: the metric itself, or on the task's scale."""
-    task = find_task(runs[0].task)
-    tracks = task.test_tracks if split == "test" else task.train_tracks
-    values = np.stack([getattr(run, split).by_column(tracks) for run in runs])
-    if not is_raw:
-        zero, one = scale_ends(task.name)
-        values = (values - zero) / (one - zero)
-    return ScoreTable(values, runs[0].algorithm, tracks, len(DIRECTIONS))
-
-
-def _thresholds(tables: Sequence[ScoreTable]) -> FloatArray:
-    values = np.concatenate([table.scores.ravel() for table in tables])
-    low, high = np.floor(values.min() * 10 - 0.5) / 10, np.ceil(values.max() * 10 + 0.5) / 10
-    return np.linspace(low, high, _NUM_POINTS + 1)
-
-
-def _returns(runs: Sequence[SuiteRun]) -> Band | None:
-    """Returns the mean of the learning curves where all runs have values; ``None`` without any."""
-    curves = []
+def _task_report(runs: Sequence[SuiteRun]) -> TaskReport:
+    task, fresh = runs[0].task, runs[0].test.entry.plan.fresh
+    groups: dict[tuple[str, str, str], list[SuiteRun]] = {}
     for run in runs:
-        pairs = zip(run.curve.kart_steps, run.curve.returns, strict=True)
+        groups.setdefault((run.agent_class, *run.name), []).append(run)
+    reports = [_algorithm_report(of_algorithm) for of_algorithm in groups.values()]
+    tables = [_table(of_algorithm) for of_algorithm in groups.values()]
+    pairs = itertools.combinations(zip(reports, tables, strict=True), 2)
+    return TaskReport(
+        task.name,
+        task.digest,
+        fresh,
+        task.metric,
+        NORMALIZED if load_baselines().has(task.name) and not fresh else task.metric,
+        tuple(reports),
+        tuple(
+            Improvement(one.name, two.name, estimate(statistics.improvement, first, second))
+            for (one, first), (two, second) in pairs
+            if one.agent_class == two.agent_class
+        ),
+        _power(groups.values()),
+    )
+
+
+def _algorithm_report(runs: Sequence[SuiteRun]) -> AlgorithmReport:
+    algorithm, variant = runs[0].name
+    raw, test, train = _table(runs, is_raw=True), _table(runs), _train_tables(runs)
+    curves = [run.curve for run in runs if run.curve is not None]
+    steps = [run.kart_steps for run in runs if run.kart_steps is not None]
+    parts = [run.test.parts() for run in runs]
+    return AlgorithmReport(
+        algorithm,
+        variant,
+        runs[0].agent_class,
+        len(runs),
+        tuple(run.seed for run in runs if run.seed is not None),
+        estimate_t(raw.of_runs),
+        estimate_t(raw.of_tracks),
+        estimate(statistics.interquartile_mean, test),
+        train and estimate_t(train[0].of_runs),
+        train and estimate(statistics.gap, train[1], test),
+        {name: estimate_t([part[name] for part in parts]) for name in parts[0]},
+        _returns(curves) if len(curves) == len(runs) else None,
+        fmean(steps) if len(steps) == len(runs) else None,
+        fmean(curve.seconds[-1] for curve in curves) / _SECONDS_PER_HOUR if curves else None,
+    )
+
+
+def _train_tables(runs: Sequence[SuiteRun]) -> tuple[ScoreTable, ScoreTable] | None:
+    """Returns the metric and the scores on the training tracks; ``None`` if a run has none."""
+    if any(run.train is None for run in runs):
+        return None
+    return _table(runs, is_train=True, is_raw=True), _table(runs, is_train=True)
+
+
+def _table(runs: Sequence[SuiteRun], *, is_train: bool = False, is_raw: bool = False) -> ScoreTable:
+    """Returns the scores on a split's tracks: the metric itself, or on the task's scale."""
+    evaluations = [run.train if is_train else run.test for run in runs]
+    values = np.stack([evaluation.by_column() for evaluation in evaluations if evaluation])
+    if not is_raw:
+        values = _on_scale(runs[0], values)
+    return ScoreTable(values, runs[0].name, is_train, len(DIRECTIONS))
+
+
+def _on_scale(run: SuiteRun, values: FloatArray) -> FloatArray:
+    zero, one = scale_ends(run.task.name, run.test.entry.plan.fresh)
+    return (values - zero) / (one - zero)
+
+
+def _power(groups: Iterable[Sequence[SuiteRun]]) -> PowerReport | None:
+    """Returns how many runs a comparison of learned algorithms needs."""
+    by_algorithm: dict[str, list[float]] = {}
+    for runs in groups:  # other variants are of the same runs
+        if runs[0].agent_class == LEARNED:
+            by_algorithm.setdefault(runs[0].name[0], _table(runs, is_raw=True).of_runs)
+    means = by_algorithm.values()
+    freedom = sum(len(values) - 1 for values in means)
+    if not freedom:
+        return None
+    squares = sum((value - fmean(values)) ** 2 for values in means for value in values)
+    deviation = math.sqrt(squares / freedom)
+    return PowerReport(
+        deviation, freedom, {str(size): runs_needed(deviation, size) for size in _DIFFERENCES}
+    )
+
+
+def _returns(curves: Sequence[LearningCurve]) -> Band | None:
+    """Returns the mean of the learning curves where all have values; ``None`` without any."""
+    points = []
+    for curve in curves:
+        pairs = zip(curve.kart_steps, curve.returns, strict=True)
         known = [(steps, value) for steps, value in pairs if value is not None]
         if not known:
             return None
-        curves.append(np.array(known, float).T)
-    start, end = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
+        points.append(np.array(known, float).T)
+    if not points:
+        return None
+    start, end = max(steps[0] for steps, _ in points), min(steps[-1] for steps, _ in points)
     x = np.linspace(start, max(start, end), _NUM_POINTS)
-    values = np.stack([np.interp(x, steps, returns) for steps, returns in curves])
-    if len(runs) == 1:
+    values = np.stack([np.interp(x, steps, returns) for steps, returns in points])
+    if len(curves) == 1:
         return Band.of(x, values[0], None, None)
     return Band.of(x, values.mean(axis=0), values.min(axis=0), values.max(axis=0))
 
@@ -159,10 +199,16 @@ def report_sections(report: SuiteReport, figures: Mapping[str, Path]) -> str:
         report=report,
         figures=figures,
         captions=CAPTIONS,
-        comparisons=[(task.task, pair) for task in report.tasks for pair in task.improvements],
+        interval=_interval,
         normalized=NORMALIZED,
         time_ratio=TIME_RATIO,
     ).strip()
+
+
+def _interval(estimate: Estimate) -> str:
+    """Returns the interval of an estimate as text, or ``-`` without one."""
+    _, _, ends = str(estimate).partition(" ")
+    return ends.strip("()") or "-"
 
 
 def marl_eval_json(runs: Sequence[SuiteRun]) -> str:
@@ -174,7 +220,8 @@ def marl_eval_json(runs: Sequence[SuiteRun]) -> str:
 
     - ``stkzoo-suite-1`` has one step, the end of the training, with the score of each race on the
       test tracks, on the scale of the task;
-    - ``stkzoo-suite-1-training`` has the learning curve, at equal distances.
+    - ``stkzoo-suite-1-training`` has the learning curve, at equal distances. Runs without a log are
+      left out.
 
     It also requires the same algorithms and seeds in all tasks.
 
@@ -183,16 +230,18 @@ def marl_eval_json(runs: Sequence[SuiteRun]) -> str:
     """
     environments: dict[str, Any] = {SUITE: {}, f"{SUITE}-training": {}}
     for run in runs:
-        zero, one = scale_ends(run.task)
-        score = {"score": [(race.value - zero) / (one - zero) for race in run.test.races]}
-        curve = _curve_steps(run.curve)
-        last = {name: value for name, value in curve[-1].items() if name != "step_count"}
-        ends = [{"step_count": run.kart_steps, **score}]
-        parts = ((ends, score), (curve, last))
-        for tasks, (steps, absolute) in zip(environments.values(), parts, strict=True):
-            seeds = tasks.setdefault(run.task, {}).setdefault(run.algorithm, {})
-            numbered = {f"step_{number}": step for number, step in enumerate(steps)}
-            seeds[f"seed_{run.seed}"] = {**numbered, "absolute_metrics": absolute}
+        score = {"score": _on_scale(run, np.array(run.test.values())).tolist()}
+        curve = _curve_steps(run.curve) if run.curve else []
+        ends = [{"step_count": run.kart_steps or 0, **score}]
+        algorithm = ", ".join(filter(None, run.name))
+        for tasks, steps in zip(environments.values(), (ends, curve), strict=True):
+            if steps:
+                absolute = {
+                    name: value for name, value in steps[-1].items() if name != "step_count"
+                }
+                numbered = {f"step_{number}": step for number, step in enumerate(steps)}
+                seeds = tasks.setdefault(run.task.name, {}).setdefault(algorithm, {})
+                seeds[f"seed_{run.seed or 0}"] = {**numbered, "absolute_metrics": absolute}
     return json.dumps(environments, allow_nan=False, separators=(",", ":")) + "\n"
 
 
@@ -214,12 +263,12 @@ def _curve_steps(curve: LearningCurve) -> list[dict[str, Any]]:
 def write_suite_report(
     paths: Iterable[str | os.PathLike[str]], output: str | os.PathLike[str]
 ) -> SuiteReport:
-    """Writes the report of result files: numbers, tables and figures.
+    """Writes the report of training runs: numbers, tables and figures.
 
-    The same results make the same files.
+    The same entries make the same files.
 
     Args:
-        paths: result files, and folders of them.
+        paths: folders of entries, and folders that contain them.
         output: folder for ``report.json``, ``report.md``, ``marl_eval.json`` and the figures. It is
             created if needed.
 
@@ -227,18 +276,14 @@ def write_suite_report(
         The report.
 
     Raises:
-        ConfigError: a result is invalid, a library is missing, a file cannot be written, or
-            ``output`` is one of the folders of results.
+        ConfigError: see :func:`~stkzoo.suite.report.runs.load_runs`; or a library is missing, or a
+            file cannot be written.
+        EntryRefused: an entry is incomplete, or a replay or a number is not that of the entry.
     """
-    places, folder = tuple(map(Path, paths)), Path(output)
-    if os.path.realpath(folder) in map(os.path.realpath, places):
-        raise ConfigError(
-            f"{folder} has the results, and the next report would read this one as a result; "
-            "choose another --output, such as a folder in it"
-        )
+    folder = Path(output)
     require_matplotlib("report")
     require_jinja2("report")
-    runs = load_runs(places)
+    runs = load_runs(paths)
     report = make_report(runs)
     make_folder(folder, "report")
     figures = draw_figures(report, folder)
