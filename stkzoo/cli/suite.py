@@ -394,7 +394,7 @@ def _show_entry(entry: suite.Entry) -> None:
     metric, count = task.metric.replace("_", " "), len(entry.plan.races())
     races = f"{len(entry.races)} of {count} races"
     races += f", fresh from {entry.plan.fresh!r}" if entry.plan.fresh else ""
-    name = f"{entry.label} ({entry.plan.about.agent_class})"
+    name = f"{entry.label} ({entry.plan.about.summary})"
     say(f"{name} in {task.name}: {metric} {score} in {races}.")
     if entry.normalized_score is not None:
         say(

@@ -26,6 +26,7 @@ _CARD = "card.json"
 TRAINING_LOG = "log.jsonl"
 #: Maximum length of a text, and of a name [characters], and maximum of a number.
 _MAX_TEXT, _MAX_NAME, _MAX_NUMBER = 2000, 40, 2**62
+_MAX_SHOWN = 80
 _Text = Annotated[str, Meta(max_length=_MAX_TEXT)]
 _Name = Annotated[str, Meta(max_length=_MAX_NAME)]
 
@@ -75,6 +76,13 @@ class About:
         for name in ("kart_steps", "training_seed"):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 0, _MAX_NUMBER)
+
+    @property
+    def summary(self) -> str:
+        """Class, demonstrations and pretraining in one line, as in ``learned, demonstrations``."""
+        before = plain_name(self.pretraining, _MAX_SHOWN).replace("|", "/")
+        parts = (self.agent_class, "demonstrations" * self.demonstrations, before)
+        return ", ".join(filter(None, parts))
 
     def completed(self, source: str) -> About:
         """Returns the same with the class of a driver of stkzoo, or with the facts on a card.
@@ -154,9 +162,10 @@ class _TrainingRun:
 
 @dataclass(frozen=True, slots=True)
 class _AgentCard:
-    """What an agent's card says about its training."""
+    """What an agent's card says about its training, and the name of its variant."""
 
     runs: tuple[_TrainingRun, ...] = ()
+    variant: _Name = ""
 
 
 def _facts(source: str) -> dict[str, Any]:
@@ -174,4 +183,5 @@ def _facts(source: str) -> dict[str, Any]:
         "kart_steps": run.kart_steps,
         "algorithm": arguments.algorithm,
         "training_seed": arguments.seed,
+        "variant": card.variant,
     }

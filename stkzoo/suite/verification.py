@@ -149,13 +149,12 @@ class VerifyOrder(RaceOrder):
 
 
 def _safe(settings: RaceSettings) -> RaceSettings:
-    """Returns an entry's settings without those that turn off limits or name files to load."""
+    """Returns an entry's settings, with limits for agents even if the entry has none."""
     default = RaceSettings()
     return replace(
         settings,
         inline=False,
         sandbox=default.sandbox,
-        adapter=None,
         agent_memory=default.agent_memory,
         action_timeout=settings.action_timeout or default.action_timeout,
     )

@@ -51,7 +51,7 @@ def test_the_table_of_drivers_has_intervals_over_tracks(name):
     assert cells[3] == ratio
     assert cells[4].startswith(value)
     assert cells[5] == won
-    if name in ("zenith", "apex", "ace"):
+    if name in ("zenith", "apex", "ace", "scout"):
         card = (ROOT / "agents" / "pretrained" / name / "CARD.md").read_text()
         assert f"{ratio}) and" in card
         assert f"{value} ({won}) against four" in card

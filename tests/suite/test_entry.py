@@ -167,12 +167,13 @@ def test_a_text_draws_other_races_with_other_rivals():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"adapter": "adapter.py"}, "unknown setting of a race 'adapter'"),
         ({"fresh": "a", "split": "train"}, "fresh races are for leaderboards, on the test tracks"),
         ({"fresh": "x" * 201}, "fresh is 'xxx.*, expected one line of at most 200 letters"),
         ({"fresh": "a\nb"}, "fresh is .*, expected one line"),
         ({"fresh": 3}, "fresh is 3, expected one line"),
     ],
 )
-def test_an_unusable_text_for_fresh_races_is_refused(options, message):
+def test_options_that_would_make_other_races_are_refused(options, message):
     with pytest.raises(ConfigError, match=message):
         plan_entry("solo-1", "random", **options)

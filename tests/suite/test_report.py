@@ -1,5 +1,6 @@
 """Reports of runs: numbers, files, and entries that are refused."""
 
+import itertools
 import json
 import shutil
 import sys
@@ -133,9 +134,12 @@ def test_classes_are_ranked_apart_and_variants_have_rows_of_their_own():
         suite_run("versus", "rules", 0, constant(0.75), agent_class="scripted"),
         suite_run("versus", "copies", 0, constant(1.0), agent_class="search"),
     ]
+    facts = {"demonstrations": True, "pretraining": "1 M kart-steps | alone"}
+    runs.append(suite_run("versus", "imitation", 0, constant(0.5), **facts))
     (task,) = make_report(runs).tasks
     pairs = {(pair.first, pair.second) for pair in task.improvements}
-    assert pairs == {("ippo", "mappo"), ("ippo", "ippo (argmax)"), ("mappo", "ippo (argmax)")}
+    learned = ("ippo", "mappo", "ippo (argmax)", "imitation")
+    assert pairs == set(itertools.combinations(learned, 2))
     text = report_sections(make_report(runs), {})
     for line in (
         "### Learned agents",
@@ -145,6 +149,7 @@ def test_classes_are_ranked_apart_and_variants_have_rows_of_their_own():
         "| ippo | - | 1 | 0.500 |",
         "| ippo | argmax | 1 | 0.250 |",
         "| rules | - | 1 | 0.750 |",
+        "| versus | imitation | learned, demonstrations, 1 M kart-steps / alone | 0 |",
     ):
         assert line in text, text
     assert "variant" not in report_sections(make_report(runs[:2]), {})
@@ -160,7 +165,7 @@ def test_the_power_follows_from_the_variance_between_runs():
     assert (task.power.freedom, task.power.deviation) == (2, pytest.approx(0.25 / 2**0.5))
     assert task.power.runs == {"0.05": 198, "0.1": 51}
     text = report_sections(make_report(runs), {})
-    assert "a difference of 0.05 with 198 runs of each algorithm and of 0.1 with 51 runs" in text
+    assert "a difference of 0.05 from 198 runs of each algorithm, of 0.1 from 51 runs" in text
     assert make_report(runs[:1]).tasks[0].power is None
 
 

@@ -11,11 +11,13 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.race.result import RaceResult
+from stkzoo.race.settings import RaceSettings
 from stkzoo.suite import TASKS, About, Entry, EntryRefused, evaluate, plan_entry, verify_entry
 from stkzoo.suite.entry import ENTRY_FILE, entry_orders
-from stkzoo.suite.verification import _compare
+from stkzoo.suite.verification import VerifyOrder, _compare
 from tests.support.entries import (
     SAMPLER,
     SMALL,
@@ -364,6 +366,14 @@ def test_a_race_that_ends_early_or_for_another_reason_is_refused(entry):
     text = refusal(entry)
     assert re.search("race 0 .*: step 20 does not end the race of kart_0", text)
     assert re.search("race 3 .*: status is 'awaited_finished', expected 'finished'", text)
+
+
+def test_an_entry_cannot_loosen_the_limits_of_its_agent():
+    default = RaceSettings()
+    names = ("inline", "sandbox", "agent_memory", "action_timeout")
+    loose = replace(default, inline=True, sandbox="off", agent_memory=None, action_timeout=None)
+    order = VerifyOrder.of(RaceOrder(0, ("agent.py@:Ada",), loose, (0,)), "", "agent.py")
+    assert [getattr(order.settings, n) for n in names] == [getattr(default, n) for n in names]
 
 
 def test_a_strange_file_name_cannot_control_the_terminal(entry, capsys):

@@ -67,6 +67,7 @@ class AlgorithmReport:
             with intervals over runs.
         returns: mean return of races during the training, by kart-steps; the band contains all
             runs. ``None`` without logs.
+        said: what the entries say about class, demonstrations and pretraining.
         kart_steps: mean number of kart-steps of a run; ``None`` if unknown.
         training_hours: mean duration of a training [h]; ``None`` without logs.
     """
@@ -83,6 +84,7 @@ class AlgorithmReport:
     gap: Estimate | None
     parts: Mapping[str, Estimate]
     returns: Band | None
+    said: tuple[str, ...]
     kart_steps: float | None
     training_hours: float | None
 

@@ -32,6 +32,7 @@ SEEN, HELD_OUT = "seen rivals", "held-out rivals"
 _ORIGIN = "the folder of an entry from `stkzoo suite evaluate`, or one with such folders"
 _HELD_OUT = {member.driver for member in POPULATION if member.is_held_out}
 _MAX_POINTS = 100
+_MAX_NAME = 40  # maximum length of a name [characters]
 #: Maximum number of kart-steps of an iteration. A run ends with the one that uses up its budget.
 _MAX_ITERATION = 100_000
 
@@ -114,7 +115,7 @@ class Evaluation:
         """Task, algorithm, seed of the training and variant; the same for both splits."""
         about = self.entry.plan.about
         names = (about.algorithm or self.entry.label, about.variant)
-        name, variant = (plain_name(text).replace("|", "/") for text in names)
+        name, variant = (plain_name(text, _MAX_NAME).replace("|", "/") for text in names)
         return self.entry.plan.task, name, about.training_seed, variant
 
     def values(self, **facts: object) -> list[float]:

@@ -122,6 +122,7 @@ def _algorithm_report(runs: Sequence[SuiteRun]) -> AlgorithmReport:
         train and estimate(statistics.gap, train[1], test),
         {name: estimate_t([part[name] for part in parts]) for name in parts[0]},
         _returns(curves) if len(curves) == len(runs) else None,
+        tuple(sorted({run.test.entry.plan.about.summary for run in runs})),
         fmean(steps) if len(steps) == len(runs) else None,
         fmean(curve.seconds[-1] for curve in curves) / _SECONDS_PER_HOUR if curves else None,
     )
