@@ -45,6 +45,8 @@ class AgentSpec:
         kart: kart model, such as ``"gnu"`` (``stkzoo karts`` lists them); an empty string selects
             the game's default.
         color: hue shift of the kart, in [0, 1]; 0 keeps the original color.
+        team: number of the agent's team; ``None`` for none. Karts of a team are marked in the view
+            ``contest``, and :class:`~stkzoo.wrappers.Teams` shares their rewards.
     """
 
     rank_start: int | None = None
@@ -53,6 +55,7 @@ class AgentSpec:
     camera_mode: CameraMode = CameraMode.AUTO
     kart: str = ""
     color: float = 0.0
+    team: int | None = None
 
     @classmethod
     def of(cls, value: AgentSpec | Mapping[str, object], name: str = "agent") -> AgentSpec:

@@ -135,7 +135,7 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
         is_seen = not self.flatten_observations or (
-            len(plan.sizes) == 3 and not (plan.is_flat or plan.sees_ground or plan.observer)
+            len(plan.sizes) == 3 and not (plan.is_flat or plan.extras or plan.observer)
         )
         if plan.has_action or not is_seen or "" in plan.leaves:
             return False

@@ -14,13 +14,22 @@ import numpy as np
 from gymnasium import spaces
 
 from stkzoo import race_v0
-from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import STANDING, kart_action_space, kart_observation_space
 from stkzoo.views.shipped import SHIPPED
 from stkzoo.views.split_step import MonoAgentEnv
 from stkzoo.wrappers import DiscreteActionsWrapper
 from stkzoo.wrappers.flattening import SpaceFlattener
 from stkzoo.wrappers.observations import PolarBox
-from stkzoo.wrappers.racing import CHOICE_NAMES, CHOICES, MEANINGS, PARTS, PEDALS, PLACES, STEERS
+from stkzoo.wrappers.racing import (
+    CHOICE_NAMES,
+    CHOICES,
+    MEANINGS,
+    PARTS,
+    PEDALS,
+    PLACES,
+    SIZE,
+    STEERS,
+)
 
 _VIEWS = "reference/views"
 _ENTRIES = (Path(__file__).parents[1] / "reference" / "environment.md").read_text("utf-8")
@@ -89,11 +98,12 @@ def _page(name: str, description: str) -> str:
 
 def _observation(name: str, space: spaces.Space[Any], flat: SpaceFlattener) -> Iterator[str]:
     columns = ("index", "entry", "range", "unit", "meaning")
-    if name == "racing":
+    if name in ("racing", "contest"):
         yield f"One `Box` of {space.shape} float32. Each number is divided by its unit, then"
         yield f"clipped to {space.low.min():g} to {space.high.max():g}."  # type: ignore[attr-defined]
         names = ("index", "entry", "unit", "meaning")
-        yield from ("", *_table(names, _racing()), "")
+        standing = _standing() if name == "contest" else ()
+        yield from ("", *_table(names, [*_racing(), *standing]), "")
         return
     if isinstance(space, spaces.Box):
         yield from (f"One `Box` of {space.shape} {space.dtype}.", "")
@@ -163,6 +173,13 @@ def _racing() -> Rows:
         place = PLACES[name]
         rows = f"{count} x {width}: " if count > 1 and width > 1 else ""
         yield _span(place.start, count * width), f"`{name}`", unit, rows + meaning
+
+
+def _standing() -> Rows:
+    start = SIZE
+    for name, size, unit, meaning in STANDING:
+        yield _span(start, size), f"`{name}`", unit, meaning
+        start += size
 
 
 def _polar(space: spaces.Space[Any], unit: str, meaning: str) -> tuple[str, str]:

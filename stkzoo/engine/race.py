@@ -211,6 +211,7 @@ class GameRace:
                 self._phases,
                 Phase.RACE_PHASE,
                 self._reporting,
+                np.flatnonzero([not kart.is_bot for kart in self._setup.karts]),
             )
             is_right = stepper.read(True) == self.read_attributes(True).data
         except (AttributeError, TypeError, ValueError):

@@ -16,6 +16,9 @@ from stkzoo.names import CameraMode
 #: Maximum number of karts with a camera; the game can split its screen into so many parts.
 MAX_CAMERAS = 8
 
+#: Team of a kart without a team, and maximum number of a team.
+NO_TEAM, MAX_TEAMS = -1, 255
+
 _FOLDER = matching(r"[^/\\\0]*")
 
 
@@ -30,10 +33,11 @@ class KartSetup(LeftOutNames):
         name: name of the player.
         color: hue shift in [0, 1]; 0 keeps the model's colors.
         camera_mode: number of :class:`stkzoo.names.CameraMode`.
+        team: number of the kart's team; -1 for none. The engine does not use it.
     """
 
     left_out: ClassVar[dict[str, str]] = {
-        **dict.fromkeys(("Controller", "controller", "team"), "use is_bot"),
+        **dict.fromkeys(("Controller", "controller"), "use is_bot"),
         "CameraMode": "use stkzoo.CameraMode",
     }
     is_bot: bool = True
@@ -42,6 +46,7 @@ class KartSetup(LeftOutNames):
     name: str = ""
     color: Share = 0.0
     camera_mode: Annotated[int, Meta(ge=0, le=int(max(CameraMode)))] = 0
+    team: Annotated[int, Meta(ge=-1, le=MAX_TEAMS)] = NO_TEAM
 
 
 @dataclass(frozen=True, slots=True)

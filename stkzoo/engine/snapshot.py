@@ -61,7 +61,7 @@ KART_DTYPE = np.dtype(
         ("race_result", "i4"),
         ("jumping", "i4"),
         ("is_on_road", "i4"),
-        # Controls that the game's AI chose, for karts with reports_control; zeros for others.
+        # The latest controls of players' karts, and of the game's AI with reports_control.
         ("control", "f4", len(CONTROLS)),
     ]
 )

@@ -19,7 +19,7 @@ from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
-from stkzoo.kernel import StepScorer, split_batch
+from stkzoo.kernel import StepScorer, observe_standing, split_batch
 from stkzoo.mdp.events import EVENTS, STREAKS, RaceEvents
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
@@ -129,6 +129,7 @@ class Episode:
         self.step_size = setup.step_size
         self._number_of = {f"kart_{number}": number for number in range(len(kart_indices))}
         self._karts = np.array(kart_indices, np.intp)
+        self._teams = np.array([kart.team for kart in setup.karts], np.intp)
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
         self.num_players = len(self._players)
         self._race_length = self.track_map.length * setup.laps
@@ -227,6 +228,11 @@ class Episode:
         self._scorer.infos_into(self.snapshot.data, length, seats.numbers, slots, *table.arrays)
         if self._endings is not None:
             table.columns[_ENDED_BY][slots] = self._endings.reasons[seats.numbers]
+
+    def standing_into(self, karts: IntArray, rows: IntArray, batch: Any, column: int) -> None:
+        """See :class:`~stkzoo.views.plan.ObservationSource`."""
+        race = self._teams, self._race_length
+        observe_standing(self.snapshot.data, *race, karts, rows, batch, column)
 
     @property
     def ground(self) -> Ground:

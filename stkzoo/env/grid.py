@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stkzoo.config import AgentSpec
-from stkzoo.engine.setup import MAX_CAMERAS, KartSetup, RaceSetup
+from stkzoo.engine.setup import MAX_CAMERAS, NO_TEAM, KartSetup, RaceSetup
 from stkzoo.env.options import RaceOptions, camera_mode
 from stkzoo.env.starts import draw_starts
 from stkzoo.names import CameraMode
@@ -97,6 +97,7 @@ def draw_race(
             name=agent.name,
             color=float(agent.color),
             camera_mode=int(cameras[number]),
+            team=NO_TEAM if agent.team is None else agent.team,
         )
     names = [f"kart_{number}" for number in range(len(everyone))]
     setup = RaceSetup(

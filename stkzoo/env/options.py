@@ -12,6 +12,7 @@ from gymnasium.utils import seeding
 
 from stkzoo._checks import check_flag, check_number, check_type, check_whole, unknown_name
 from stkzoo.config import NORMAL, AgentSpec, check_mode
+from stkzoo.engine.setup import MAX_TEAMS
 from stkzoo.env.starts import read_start
 from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
@@ -183,6 +184,8 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
         if agent.kart and agent.kart not in karts:
             raise unknown_name("kart", agent.kart, karts)
         check_type(f"name of agent {index}", agent.name, str, "a string")
+        if agent.team is not None:
+            check_whole(f"team of agent {index}", agent.team, 0, MAX_TEAMS)
         camera_mode(agent)
     taken = [agent.rank_start for agent in agents if agent.rank_start is not None]
     for rank in taken:

@@ -23,6 +23,7 @@ __all__ = [
     "new_batch",
     "not_built",
     "observe_racing",
+    "observe_standing",
     "split_batch",
     "to_polar",
     "trace_roads",

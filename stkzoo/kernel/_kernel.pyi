@@ -20,7 +20,8 @@ class GameStepper:
         controls: names of the controls, which are attributes of an action.
         phases: number of each of the engine's phases.
         last_phase: number of all other phases.
-        reporting: karts whose driver's controls are read.
+        reporting: karts of the game's AI whose controls are read.
+        players: ``(P,)`` kart of each action.
     """
 
     def __new__(
@@ -32,6 +33,7 @@ class GameStepper:
         phases: dict[Any, int],
         last_phase: int,
         reporting: tuple[int, ...],
+        players: npt.NDArray[np.intp],
     ) -> GameStepper: ...
     def step(self, controls: bytes | npt.NDArray[np.float32]) -> bytes:
         """Advances the game by one step.
@@ -439,6 +441,31 @@ def write_racing_view(
         ValueError: the arrays do not fit together.
     """
 
+def observe_standing(
+    data: bytes,
+    teams: npt.NDArray[np.intp],
+    race_length: float,
+    who: npt.NDArray[np.intp],
+    rows: npt.NDArray[np.intp],
+    out: npt.NDArray[np.float32],
+    column: int,
+) -> None:
+    """Writes the standing of each kart of ``who`` (:data:`stkzoo.mdp.spaces.STANDING`).
+
+    Args:
+        data: bytes of a snapshot.
+        teams: ``(K,)`` team of each kart; -1 for none.
+        race_length: length of the race [m].
+        who: ``(n,)`` indices of karts.
+        rows: ``(n,)`` row of each kart.
+        out: ``(N, F)``, of which ``STANDING_SIZE`` columns are written.
+        column: the first of them.
+
+    Raises:
+        IndexError: a kart or its row does not exist.
+        ValueError: the arrays do not fit together.
+    """
+
 def observe_racing(
     road: tuple[Any, ...],
     tables: tuple[Any, ...],
@@ -455,7 +482,7 @@ def observe_racing(
         data: bytes of a snapshot.
         who: ``(n,)`` indices of karts.
         rows: ``(n,)`` row of each kart.
-        out: ``(N, SIZE)``, which is written.
+        out: ``(N, F)``; the first ``SIZE`` columns are written.
 
     Raises:
         IndexError: a kart, its segment or its row does not exist.

@@ -60,7 +60,9 @@ typedef struct {
     PyObject *speed, *angular_velocity; /* names of attributes that the block lacks */
     npy_intp num_kart, *places, items_at; /* offsets of karts and items in the block */
     int phase, last_phase; /* phases follow in order; the last one is final */
+    int has_stepped;       /* whether there are controls */
     float *present;        /* (P, 7) current controls of the engine's actions */
+    Indices players;       /* (P,) karts of these actions */
 } GameStepper;
 
 /* Reads a count from the block; returns -1 with an exception set if it is invalid. */
@@ -176,6 +178,10 @@ static int read_karts(const GameStepper *self, Block block, Kart *records)
                            (const EngineKart *)(block.data + self->places[i]), records + i);
     }
     Py_XDECREF(karts);
+    for (npy_intp i = 0; !status && self->has_stepped && i < self->players.size; i++) {
+        memcpy(records[self->players.data[i]].control, self->present + NUM_CONTROLS * i,
+               sizeof records->control);
+    }
     for (Py_ssize_t i = 0; !status && i < PyTuple_GET_SIZE(self->reporting); i++) {
         status = copy_report(self, PyTuple_GET_ITEM(self->reporting, i), records);
     }
@@ -275,6 +281,7 @@ static PyObject *step_with(GameStepper *self, const char *controls, Py_ssize_t s
         return PyErr_Format(PyExc_ValueError, "%zd bytes of controls, expected %zd", size, expected);
     }
     if (set_actions(self, controls) < 0) return NULL;
+    self->has_stepped = 1;
     PyObject *answer = num_players ? PyObject_CallOneArg(self->step, self->actions)
                                    : PyObject_CallNoArgs(self->step);
     const int is_running = answer ? PyObject_IsTrue(answer) : -1;
@@ -360,17 +367,17 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
 
 /* ---------------------------------------------------------------- the type */
 
-/* GameStepper(functions, world, actions, controls, phases, last_phase, reporting): functions of the
-   engine's race and world; the world and the list of actions; the names of the controls; a dict from
-   the engine's phases to their numbers; the number of all other phases; and the karts whose controls
-   are reported. */
+/* GameStepper(functions, world, actions, controls, phases, last_phase, reporting, players):
+   functions of the engine's race and world; the world and the list of actions; the names of the
+   controls; a dict from the engine's phases to their numbers; the number of all other phases; the
+   karts of the game's AI whose controls are reported; and the kart of each action. */
 static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *functions;
-    if (!PyArg_ParseTuple(args, "O!OO!O!O!iO!", &PyTuple_Type, &functions, &self->world,
+    if (!PyArg_ParseTuple(args, "O!OO!O!O!iO!O&", &PyTuple_Type, &functions, &self->world,
                           &PyList_Type, &self->actions, &PyTuple_Type, &self->controls,
                           &PyDict_Type, &self->phases, &self->last_phase, &PyTuple_Type,
-                          &self->reporting) ||
+                          &self->reporting, as_indices, &self->players) ||
         !PyArg_ParseTuple(functions, "OOOO", &self->step, &self->report, &self->update,
                           &self->write)) {
         return -1;
@@ -391,7 +398,12 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     PyObject *state = write_block(self, &block);
     int status = state ? find_places(self, block) : -1;
     Py_XDECREF(state);
-    return status;
+    if (status) return -1;
+    if (self->players.size != PyList_GET_SIZE(self->actions) ||
+        !are_below(self->players, self->num_kart)) {
+        return refuse("each action needs a kart");
+    }
+    return 0;
 }
 
 KERNEL_TYPE(GameStepper, stepper, "Advances a race of the engine and reads its state.",

@@ -96,6 +96,7 @@ PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_around(PyObject *module, PyObject *args);
 PyObject *new_batch(PyObject *module, PyObject *args);
 PyObject *observe_racing(PyObject *module, PyObject *args);
+PyObject *observe_standing(PyObject *module, PyObject *args);
 PyObject *action_mask(PyObject *module, PyObject *args);
 PyObject *split_batch(PyObject *module, PyObject *args);
 PyObject *to_polar(PyObject *module, PyObject *points);

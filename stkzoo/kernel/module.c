@@ -70,6 +70,7 @@ static PyMethodDef methods[] = {
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
     {"look_around", look_around, METH_VARARGS, "Writes the surroundings of karts."},
     {"new_batch", new_batch, METH_VARARGS, "Returns a batch without content."},
+    {"observe_standing", observe_standing, METH_VARARGS, "Writes the standing of karts."},
     {"observe_racing", observe_racing, METH_VARARGS, "Writes the view `racing` of karts."},
     {"split_batch", split_batch, METH_VARARGS, "Returns the values of a batch's rows."},
     {"to_polar", to_polar, METH_O, "Returns positions as two angles and a distance."},

@@ -25,6 +25,25 @@ typedef struct {
 } View;
 
 enum { MOST = 8 }; /* largest number of objects of one kind in the view */
+enum { RIVALS = 4, RIVAL_SIZE = 9, STANDING_SIZE = 4 + RIVALS * RIVAL_SIZE };
+enum { STEER = 1, DRIFT = 3 }; /* places in Kart.control */
+
+/* Rows of an array (count, width). */
+typedef struct {
+    float *data;
+    npy_intp count, width;
+} Rows;
+
+/* A converter for "O&". */
+static int as_rows(PyObject *object, void *out)
+{
+    Floats numbers;
+    if (!as_written_floats(object, &numbers)) return 0;
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (PyArray_NDIM(array) != 2) return refuse("expected an array of rows"), 0;
+    *(Rows *)out = (Rows){numbers.data, PyArray_DIM(array, 0), PyArray_DIM(array, 1)};
+    return 1;
+}
 
 typedef struct {
     const View *view;
@@ -256,7 +275,76 @@ PyObject *look_around(PyObject *Py_UNUSED(module), PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* ---------------------------------------------------------------- the view */
+/* ---------------------------------------------------------------- standing */
+
+/* Writes the standing of a kart (STANDING of stkzoo.mdp.spaces): its rank among all karts, its
+   progress, its last steering and drift; and for the RIVALS nearest karts, their position, velocity
+   relative to the kart, lead along the race, and whether they are teammates. */
+static void put_standing(Pen *pen, const Snapshot *snapshot, const Kart *kart, Indices teams,
+                         float race_length)
+{
+    const npy_intp num_karts = snapshot->header->num_kart;
+    float matrix[9];
+    rotation_matrix(kart, matrix);
+    Near nearest[RIVALS] = {{0}};
+    npy_intp count = 0;
+    for (npy_intp i = 0; i < num_karts; i++) {
+        if (snapshot->karts + i == kart) continue;
+        Near one = {.which = (int)i};
+        to_kart_frame(kart, matrix, snapshot->karts[i].location, one.place);
+        one.key = dot(one.place, one.place);
+        count = insert(nearest, count, RIVALS, &one);
+    }
+    const float others = num_karts > 1 ? (float)(num_karts - 1) : 1.0f;
+    put(pen, (float)(kart->position - 1) / others);
+    put(pen, kart->overall_distance / race_length);
+    put(pen, kart->control[STEER]);
+    put(pen, kart->control[DRIFT]);
+    const npy_intp team = teams.data[kart - snapshot->karts];
+    for (npy_intp i = 0; i < RIVALS; i++) {
+        if (i >= count) {
+            for (int k = 0; k < RIVAL_SIZE; k++) put(pen, 0.0f);
+            continue;
+        }
+        const Kart *other = snapshot->karts + nearest[i].which;
+        const float *v = other->velocity, *u = kart->velocity;
+        float motion[3];
+        rotate(matrix, v[0] - u[0], v[1] - u[1], v[2] - u[2], motion);
+        put(pen, 1.0f);
+        for (int k = 0; k < 3; k++) put(pen, nearest[i].place[k] / 20.0f);
+        for (int k = 0; k < 3; k++) put(pen, motion[k] / 20.0f);
+        put(pen, (other->overall_distance - kart->overall_distance) / 20.0f);
+        put(pen, team >= 0 && teams.data[nearest[i].which] == team ? 1.0f : 0.0f);
+    }
+}
+
+/* observe_standing(data, teams, race_length, who, rows, out, column): writes the standing of kart
+   who[i] into row rows[i] of `out`, from a column on. */
+PyObject *observe_standing(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    Snapshot snapshot;
+    Indices teams, who, rows;
+    float race_length;
+    Rows out;
+    npy_intp column;
+    if (!PyArg_ParseTuple(args, "O&O&fO&O&O&n", as_snapshot, &snapshot, as_indices, &teams,
+                          &race_length, as_indices, &who, as_indices, &rows, as_rows, &out,
+                          &column) ||
+        check_rows("kart", who, snapshot.header->num_kart, rows, out.count) < 0) {
+        return NULL;
+    }
+    const npy_intp sizes[][2] = {
+        {teams.size, snapshot.header->num_kart}, {column >= 0 && out.width - column >= STANDING_SIZE, 1}
+    };
+    if (ARE_SIZES(sizes) < 0) return NULL;
+    for (npy_intp i = 0; i < who.size; i++) {
+        Pen pen = {.out = out.data + rows.data[i] * out.width + column};
+        put_standing(&pen, &snapshot, snapshot.karts + who.data[i], teams, race_length);
+    }
+    Py_RETURN_NONE;
+}
+
+/* ---------------------------------------------------------------- the racing view */
 
 static void put_view(const View *view, const Around *around, npy_intp row, float *out)
 {
@@ -313,21 +401,21 @@ PyObject *write_racing_view(PyObject *Py_UNUSED(module), PyObject *args)
 }
 
 /* observe_racing(road, tables, data, who, rows, out): writes the view of kart who[i] into row rows[i]
-   of `out`. */
+   of `out`, in its first columns. */
 PyObject *observe_racing(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Road road;
     View view;
     Snapshot snapshot;
     Indices who, rows;
-    Floats out;
+    Rows out;
     if (!PyArg_ParseTuple(args, "O&O&O&O&O&O&", as_road, &road, as_view, &view, as_snapshot,
-                          &snapshot, as_indices, &who, as_indices, &rows, as_written_floats, &out)) {
+                          &snapshot, as_indices, &who, as_indices, &rows, as_rows, &out)) {
         return NULL;
     }
     const npy_intp num_karts = snapshot.header->num_kart, num_items = snapshot.header->num_items;
-    if (out.size % view.size) return refuse("the rows have another size than the view"), NULL;
-    if (check_rows("kart", who, num_karts, rows, out.size / view.size) < 0) return NULL;
+    if (out.width < view.size) return refuse("the rows are shorter than the view"), NULL;
+    if (check_rows("kart", who, num_karts, rows, out.count) < 0) return NULL;
     const npy_intp floats = OWN_SIZE + LINE_SIZE * view.looks.size + 3 * (num_karts + num_items);
     npy_int64 *types = PyMem_Malloc((size_t)num_items * sizeof *types + (size_t)floats * sizeof(float));
     if (!types) return PyErr_NoMemory();
@@ -341,7 +429,7 @@ PyObject *observe_racing(PyObject *Py_UNUSED(module), PyObject *args)
     int status = 0;
     for (npy_intp i = 0; !status && i < who.size; i++) {
         status = see(&road, snapshot.karts + who.data[i], &snapshot, view.looks, &around, 0);
-        if (!status) put_view(&view, &around, 0, out.data + rows.data[i] * view.size);
+        if (!status) put_view(&view, &around, 0, out.data + rows.data[i] * out.width);
     }
     PyMem_Free(types);
     return status < 0 ? NULL : Py_NewRef(Py_None);

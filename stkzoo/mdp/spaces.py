@@ -58,8 +58,24 @@ def action_of(controls: npt.NDArray[np.float32]) -> dict[str, Any]:
     return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
 
 
+#: The standing of a kart in the race: name, number of values, unit and meaning of each part. All
+#: values are clipped to -5 and 5.
+STANDING = (
+    ("rank", 1, "", "rank: 0 is first, 1 is last"),
+    ("progress", 1, "", "share of the race that the kart has driven"),
+    ("last_controls", 2, "", "steering and drift of the latest step"),
+    (
+        "rivals",
+        36,
+        "20 m, 20 m/s",
+        "4 x 9, the nearest karts: 1 if there is one, position and velocity relative to the kart "
+        "(right, up, ahead), lead along the race, 1 for a teammate",
+    ),
+)
+STANDING_SIZE = sum(size for _, size, *_ in STANDING)
+
 #: Optional parts of an observation, each with an entry that identifies it.
-EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity"}
+EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity", "standing": "standing"}
 
 
 def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -> spaces.Dict:
@@ -71,7 +87,8 @@ def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -
         extras: names from :data:`EXTRAS`. ``"ground"`` adds ``ground_kind`` and ``ground_speed``,
             the ground ahead at :data:`GROUND_MARKS` and :data:`GROUND_LANES`, and ``ground_line``
             and ``ground_room``, the racing line at :data:`GROUND_LINE_MARKS`; ``"motion"`` adds
-            ``karts_velocity`` and ``karts_heading``, the motion of the other karts.
+            ``karts_velocity`` and ``karts_heading``, the motion of the other karts; ``"standing"``
+            adds ``standing``, :data:`STANDING`.
     """
     inf = float("inf")
 
@@ -117,6 +134,8 @@ def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -
         space["karts_velocity"] = spaces.Sequence(box(3))
         heading = spaces.Box(-np.pi, np.pi, shape=(1,), dtype=np.float32)
         space["karts_heading"] = spaces.Sequence(heading)
+    if "standing" in extras:
+        space["standing"] = spaces.Box(-5.0, 5.0, (STANDING_SIZE,), np.float32)
     if use_ai:
         space["action"] = kart_action_space()
     return space

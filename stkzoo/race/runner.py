@@ -179,10 +179,14 @@ def _env(
     for listener in listeners:
         options |= listener.env_options()
     count, kart = len(drivers), settings.kart or ""
+    sources = [driver.source for driver in drivers]
+    teams = map(sources.index, sources) if settings.teams else [None] * count
     return RaceParallelEnv(
         agents=[
-            AgentSpec(place, driver.is_game_ai, driver.name, kart=kart, color=number / count)
-            for number, (driver, place) in enumerate(zip(drivers, places, strict=True))
+            AgentSpec(
+                place, driver.is_game_ai, driver.name, kart=kart, color=number / count, team=team
+            )
+            for number, (driver, place, team) in enumerate(zip(drivers, places, teams, strict=True))
         ],
         num_kart=count,
         **{name: getattr(settings, name) for name in (*_RACE_OPTIONS, "max_paths")},

@@ -46,6 +46,7 @@ class RaceSettings:
         mode: normal, or the game's time trial, without item boxes and with one zipper per lap
         kart: kart model of all karts, as listed by `stkzoo karts` (default: the game's choice)
         seed: seed of all random numbers
+        teams: karts of the same agent are a team, which they see in the view contest
         max_paths: track segments ahead that agents see (default: all)
         max_steps: end the race after N steps (0.1 s each; for `stkzoo play`, see --rate)
         max_steps_after_first: end the race N steps after the first kart finishes
@@ -69,6 +70,7 @@ class RaceSettings:
     mode: str = option(NORMAL, choices=RACE_MODES)
     kart: str | None = None
     seed: int = 0
+    teams: bool = False
     max_paths: Whole | None = None
     max_steps: int | None = option(group=_END)
     max_steps_after_first: int | None = option(group=_END)

@@ -14,7 +14,7 @@ from stkzoo.agent_names import actions_by_agent
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController, new_batch, split_batch
-from stkzoo.mdp.spaces import as_actions, kart_action_space
+from stkzoo.mdp.spaces import STANDING_SIZE, as_actions, kart_action_space
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import (
     ObservationSource,
@@ -70,6 +70,9 @@ class RecordsObserver:
             values["action"] = dict(
                 sorted(as_actions(source.snapshot.karts["control"][karts]).items())
             )
+        if "standing" in self._extras:
+            values["standing"] = np.empty((len(karts), STANDING_SIZE), np.float32)
+            source.standing_into(karts, np.arange(len(karts)), values["standing"], 0)
         if len(self._extras) > len(values):
             values |= source.ground_ahead(karts)
         return values

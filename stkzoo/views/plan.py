@@ -11,7 +11,7 @@ returns their rows.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -81,6 +81,9 @@ class ObservationSource(Protocol):
     track_map: Any
     snapshot: Any
 
+    def standing_into(self, karts: IntArray, rows: IntArray, batch: Any, column: int) -> None:
+        """Writes the standing of some karts into rows of an array, from a column on."""
+
     def ground_ahead(self, karts: IntArray) -> Mapping[str, npt.NDArray[Any]]:
         """Returns the observation entries of the ground ahead of some karts."""
 
@@ -116,7 +119,7 @@ class ViewPlan:
         leaves: numbers of an action by key; ``""`` if the action is a single array or number.
         car: wrapper of actions in physical units, if there is one.
         has_action: whether observations include the ``action`` of the game's AI.
-        sees_ground: whether observations include the ground.
+        extras: :data:`stkzoo.mdp.spaces.EXTRAS` that the records do not contain.
 
     Args:
         observation_space: space of the ``full`` view.
@@ -135,13 +138,12 @@ class ViewPlan:
         }
         self.car: ControlWrapper | None = None
         self.has_action = "action" in observation_space.spaces
-        self.sees_ground = "ground" in extras_of(observation_space)
+        self.extras = extras_of(observation_space) - {"motion"}
 
-    @property
-    def is_full(self) -> bool:
-        """Whether observations are those of the ``full`` view without additions."""
+    def is_full(self, extras: Collection[str] = ()) -> bool:
+        """Returns whether observations are those of the ``full`` view with these extras only."""
         changed = self.sizes or self.is_polar or self.is_flat or self.observer
-        return not (changed or self.has_action or self.sees_ground)
+        return not (changed or self.has_action) and self.extras == set(extras)
 
     @property
     def has_rows(self) -> bool:
@@ -175,7 +177,7 @@ class ViewPlan:
         seen = self.names, tuple(sorted(self.sizes.items())), self.is_polar, self.is_flat
         leaves = tuple((key, tuple(map(_hashable, leaf))) for key, leaf in self.leaves.items())
         car = None if self.car is None else self.car.identity()
-        return (*seen, self.joined, mask, type(self.observer), leaves, self.sees_ground, car)
+        return (*seen, self.joined, mask, type(self.observer), leaves, self.extras, car)
 
     def new_reader(self) -> ActionReader:
         """Returns the object that converts actions to controls."""
@@ -199,8 +201,8 @@ class ViewPlan:
 
 
 def is_extra(name: str) -> bool:
-    """Returns whether an entry of observations is the AI's action or about the ground."""
-    return name == "action" or name.startswith("ground_")
+    """Returns whether an entry of observations is not in the game's records."""
+    return name in ("action", "standing") or name.startswith("ground_")
 
 
 def _entry(part: Any, column: int) -> Entry:

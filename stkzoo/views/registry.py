@@ -25,7 +25,7 @@ VIEWS: dict[str, ViewFactory] = {}
 #: Views that need rendering. Environments support them; drivers do not.
 CAMERA_VIEWS: dict[str, ViewFactory] = {}
 
-_SHOWN = {"ground": "the ground", "motion": "how the other karts move"}
+_SHOWN = {"ground": "the ground", "motion": "how the other karts move", "standing": "the standing"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class View:
         description: one-line description.
         wrappers: wrappers around the ``full`` view, the innermost first.
         needs: requirements beyond the ``full`` view: ``"ground"``, the ground ahead; ``"motion"``,
-            the motion of the other karts; ``"camera"``.
+            the motion of the other karts; ``"standing"``, rank, progress and rivals; ``"camera"``.
         options: arguments of the wrappers by name (:func:`options_of`); each wrapper gets those
             that it accepts.
     """

@@ -19,7 +19,7 @@ from stkzoo.wrappers import (
 )
 from stkzoo.wrappers.control import ControlWrapper
 from stkzoo.wrappers.marl import ActionMasks
-from stkzoo.wrappers.racing import RacingActions, RacingObservations
+from stkzoo.wrappers.racing import ContestObservations, RacingActions, RacingObservations
 
 _SIMPLE = (ConstantSizedObservations, PolarObservations)
 _MULTIDISCRETE = (*_SIMPLE, DiscreteActionsWrapper, FlattenerWrapper)
@@ -78,6 +78,12 @@ SHIPPED = (
         "racing",
         "The road ahead, nearby karts and items as one vector; five small choices as the action.",
         (RacingObservations, RacingActions),
+    ),
+    View(
+        "contest",
+        "``racing``, and the standing: rank, progress, and the motion of the nearest karts.",
+        (ContestObservations, RacingActions),
+        needs=frozenset({"standing"}),
     ),
     View(
         "control",

@@ -23,7 +23,7 @@ from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
 from tests.support.kernel_users import USERS, replaced_kernel
 from tests.support.views import marked
 
-VIEWS = ("full", "masked_discrete", "flattened_control", "racing", "simple")
+VIEWS = ("full", "masked_discrete", "flattened_control", "contest", "simple")
 #: Size of the item count and one item in the engine's block [bytes].
 ITEM_SIZE = 4 + 33
 
@@ -118,7 +118,7 @@ def stepper_arguments():
     )
     actions = [SimpleNamespace(), SimpleNamespace()]
     functions = race.step, race.get_kart_action, world.update, world.__getstate__
-    return functions, world, actions, CONTROLS, {"go": 2}, 3, (1,)
+    return functions, world, actions, CONTROLS, {"go": 2}, 3, (1,), TWO
 
 
 @pytest.mark.slow

@@ -9,7 +9,12 @@ from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver, action_mask
 from tests.oracle.observations import to_polar
-from tests.oracle.racing_observer import look_around, observe_racing, write_racing_view
+from tests.oracle.racing_observer import (
+    look_around,
+    observe_racing,
+    observe_standing,
+    write_racing_view,
+)
 from tests.oracle.road_tracer import trace_roads
 from tests.oracle.rows import join_rows, new_batch, split_batch
 from tests.oracle.step_scorer import StepScorer
@@ -27,6 +32,7 @@ __all__ = [
     "look_around",
     "new_batch",
     "observe_racing",
+    "observe_standing",
     "split_batch",
     "to_polar",
     "trace_roads",

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, KART_DTYPE, Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
+from stkzoo.mdp.spaces import STANDING_SIZE
 from stkzoo.wrappers.racing.features import (
     ATTACHMENT_COLUMNS,
     ATTACHMENTS,
@@ -37,6 +38,7 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 Arrays = tuple[npt.NDArray[Any], ...]
 
+_RIVALS = 4
 #: Continuous entries of the kart's own state, and their scales.
 OWN_UNITS = {
     "velocity": 20.0,
@@ -65,7 +67,43 @@ def observe_racing(
     look_around(road, data, who, LOOKS, around)
     view = np.empty((len(who), SIZE), np.float32)
     write_racing_view(tables, around, view)
-    out[rows] = view
+    out[rows, :SIZE] = view
+
+
+def observe_standing(
+    data: bytes,
+    teams: IntArray,
+    race_length: float,
+    who: IntArray,
+    rows: IntArray,
+    out: FloatArray,
+    column: int,
+) -> None:
+    snapshot = Snapshot(data)
+    karts, mine = snapshot.karts, _records(snapshot, who)
+    locations, matrices = _frames(mine)
+    places = to_kart_frame(karts["location"][None], locations, matrices)
+    moves = to_kart_frame(karts["velocity"][None], mine["velocity"], matrices)
+    lead = karts["overall_distance"] - mine["overall_distance"][:, None]
+    is_mate = (teams == teams[who][:, None]) & (teams >= 0)
+    is_there = np.ones_like(lead)
+    unit = np.float32(20.0)
+    rivals = np.dstack([is_there, places / unit, moves / unit, lead / unit, is_mate])
+    distances = squared(places)
+    distances[np.arange(len(who)), who] = np.inf
+    nearest = distances.argsort(axis=1, kind="stable")[:, : min(_RIVALS, len(karts) - 1)]
+    seen = np.zeros((len(who), _RIVALS, rivals.shape[2]), np.float32)
+    seen[:, : nearest.shape[1]] = np.take_along_axis(rivals, nearest[..., None], axis=1)
+    own = np.column_stack(
+        [
+            (mine["position"] - 1) / max(len(karts) - 1, 1),
+            mine["overall_distance"] / np.float32(race_length),
+            mine["control"][:, CONTROLS.index("steer")],
+            mine["control"][:, CONTROLS.index("drift")],
+        ]
+    )
+    standing = np.hstack([own, seen.reshape(len(who), -1)])
+    out[rows, column : column + STANDING_SIZE] = np.clip(standing, -5.0, 5.0)
 
 
 def look_around(

@@ -10,7 +10,7 @@ from stkzoo.wrappers.racing.wrapper import road_observer
 #: The modules that use the kernel's names.
 USERS = {
     "engine.track": ["TrackGraph"],
-    "env.episode": ["StepScorer", "split_batch"],
+    "env.episode": ["StepScorer", "observe_standing", "split_batch"],
     "env.race": ["split_batch"],
     "env.vec.slots": ["new_batch"],
     "mdp.events": ["EventCounter"],

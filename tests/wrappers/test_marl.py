@@ -8,7 +8,7 @@ import pytest
 from gymnasium import spaces
 from pettingzoo.test import parallel_api_test
 
-from stkzoo import ActionError, ConfigError, race_v0
+from stkzoo import ActionError, AgentSpec, ConfigError, race_v0
 from stkzoo.views import VIEWS
 from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
 from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
@@ -204,6 +204,19 @@ def test_team_rewards_are_shared_by_the_share():
                 assert rewards[one] == pytest.approx(0.75 * own[one] + 0.25 * mean)
                 assert infos[one]["reward/team"] == pytest.approx(mean)
         assert len(set(own.values())) > 1
+
+
+def test_teams_can_be_those_of_the_agents_specs():
+    specs = [AgentSpec(team=4), AgentSpec(team=1), AgentSpec(team=4)]
+    with race(agents=specs) as env:
+        assert Teams(env).teams == (("kart_1",), ("kart_0", "kart_2"))
+    with (
+        race(agents=[AgentSpec(team=0), AgentSpec()]) as env,
+        pytest.raises(ConfigError, match="agent 'kart_1' is in 0 teams"),
+    ):
+        Teams(env)
+    with pytest.raises(ConfigError, match="team of agent 0 is -1, expected a whole number"):
+        race(agents=[AgentSpec(team=-1)])
 
 
 def test_a_mate_that_was_terminated_no_longer_races_but_one_that_was_truncated_does():

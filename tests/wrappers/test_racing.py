@@ -8,9 +8,10 @@ import pytest
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.errors import ConfigError
+from stkzoo.errors import AgentError, ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.names import ItemType
+from stkzoo.race import run_race
 from stkzoo.views import VIEWS
 from stkzoo.wrappers import PolarObservations
 from stkzoo.wrappers.racing import (
@@ -104,6 +105,58 @@ def mirrored(observation):
         else:
             flipped[key] = value
     return flipped
+
+
+def test_the_contest_view_adds_the_standing_to_the_racing_view():
+    specs = [AgentSpec(team=0), AgentSpec(team=1), AgentSpec(team=0)]
+    options = {"num_kart": 4, "agents": specs, "track": "lighthouse", "view": "contest"}
+    with race_v0.parallel_env(**options) as env:
+        env.reset(seed=1)
+        for _ in range(80):
+            action = np.array([12, 0, 1, 0, 0])
+            observations = env.step(dict.fromkeys(env.agents, action))[0]
+        karts, mine = env.snapshot.karts, env.race.kart_indices
+        length = env.track_map.length
+        teams = dict(zip(mine, (0, 1, 0), strict=True))
+        matrices = rotation_matrices(karts["rotation"])
+    for number, agent in zip(mine, observations, strict=True):
+        seen, kart = observations[agent], karts[number]
+        rank, progress, steer, drift, *rivals = seen[SIZE:].tolist()
+        assert rank == pytest.approx((kart["position"] - 1) / 3)
+        assert progress == pytest.approx(kart["overall_distance"] / length)
+        assert (steer, drift) == (pytest.approx(float(STEERS[12])), 1.0)
+        rows = np.reshape(rivals, (4, 9))
+        assert rows[:, 0].tolist() == [1, 1, 1, 0]
+        assert not rows[3].any()
+        distances = np.linalg.norm(karts["location"] - kart["location"], axis=1)
+        nearest = np.argsort(distances)[1:]
+        for row, other in zip(rows, nearest.tolist(), strict=False):
+            if distances[other] < 100:  # farther, positions are clipped
+                place = 20 * np.linalg.norm(row[1:4])
+                assert place == pytest.approx(distances[other], abs=1e-3)
+            velocity = matrices[number] @ (karts["velocity"][other] - kart["velocity"])
+            assert 20 * row[4:7] == pytest.approx(velocity, abs=1e-3)
+            lead = karts["overall_distance"][other] - kart["overall_distance"]
+            assert 20 * row[7] == pytest.approx(np.clip(lead, -100, 100), abs=1e-3)
+            assert row[8] == (other in teams and teams[other] == teams[number])
+
+
+def test_an_agent_in_a_race_sees_its_teammates(tmp_path):
+    agent = tmp_path / "agent.py"
+    agent.write_text(
+        "env_name = 'supertuxkart/contest-v0'\n"
+        "def get_actor(module_dir, seen, acted):\n"
+        "    def act(state, observation):\n"
+        "        rivals = observation[-36:].reshape(4, 9)\n"
+        "        assert rivals[:, 8].sum() == 1, rivals\n"
+        "        return [10, 0, 0, 0, 0]\n"
+        "    return act\n"
+    )
+    drivers = [str(agent), "ai", str(agent), "random"]
+    race = {"track": "lighthouse", "seed": 5, "max_steps": 3, "error_handling": "raise"}
+    run_race(drivers, **race, teams=True)
+    with pytest.raises(AgentError, match="AssertionError"):
+        run_race(drivers, **race)
 
 
 def test_a_mirrored_race_has_mirrored_observations():

@@ -80,7 +80,8 @@ class Teams(ClonableWrapper):
     Args:
         env: a race (``race_v0.parallel_env``), perhaps wrapped.
         teams: members of each team, as ids, numbers or numbers as strings. Every agent belongs to
-            exactly one team.
+            exactly one team. By default, the teams are those of the agents' specs
+            (:class:`~stkzoo.AgentSpec`).
         share: weight of the team's reward, 0 to 1.
         observe: whether agents observe their team.
 
@@ -96,11 +97,12 @@ class Teams(ClonableWrapper):
         self,
         env: ParallelEnv[str, Any, Any],
         *,
-        teams: Sequence[Sequence[Any]],
+        teams: Sequence[Sequence[Any]] | None = None,
         share: float = 1.0,
         observe: bool = False,
     ) -> None:
         super().__init__(env)
+        teams = _teams_of_specs(env) if teams is None else teams
         self.teams = _checked_teams(teams, env.possible_agents)
         self.team_of = {agent: n for n, team in enumerate(self.teams) for agent in team}
         self.share, self.observe = check_number("share", share, 0, 1), bool(observe)
@@ -212,6 +214,15 @@ def _known(race: Any, is_racing: npt.NDArray[np.bool_]) -> npt.NDArray[np.float3
         np.broadcast_to(np.stack(features, axis=-1), (len(agents), len(agents), len(features))),
     ]
     return np.concatenate(parts, axis=-1).astype(np.float32)
+
+
+def _teams_of_specs(env: ParallelEnv[str, Any, Any]) -> list[list[str]]:
+    race: Any = env.unwrapped
+    members: dict[int, list[str]] = {}
+    for agent, spec in zip(env.possible_agents, race.specs, strict=True):
+        if spec.team is not None:
+            members.setdefault(spec.team, []).append(agent)
+    return [members[number] for number in sorted(members)]
 
 
 def _checked_teams(

@@ -1,6 +1,7 @@
 """The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
 from stkzoo.wrappers.racing.features import (
+    CONTEST_SIZE,
     LOOKS,
     MEANINGS,
     MIRROR,
@@ -19,6 +20,7 @@ from stkzoo.wrappers.racing.wrapper import (
     PEDALS,
     RESCUE,
     STEERS,
+    ContestObservations,
     RacingActions,
     RacingObservations,
     choices_of_action,
@@ -32,6 +34,7 @@ __all__ = [
     "BRAKE",
     "CHOICES",
     "CHOICE_NAMES",
+    "CONTEST_SIZE",
     "LOOKS",
     "MEANINGS",
     "MIRROR",
@@ -43,6 +46,7 @@ __all__ = [
     "RESCUE",
     "SIZE",
     "STEERS",
+    "ContestObservations",
     "RacingActions",
     "RacingObservations",
     "Surroundings",

@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.mdp.spaces import STANDING_SIZE
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 
 #: Distance between the points of a road's line [m].
@@ -78,6 +79,10 @@ MEANINGS: dict[str, tuple[str, str]] = {name: (unit, text) for name, *_, unit, t
 
 #: Number of values in the view.
 SIZE = sum(count * width for count, width in PARTS.values())
+
+
+#: Number of values in the view ``contest``: this view, and the standing.
+CONTEST_SIZE = SIZE + STANDING_SIZE
 
 
 def _places() -> dict[str, slice]:

@@ -19,7 +19,7 @@ from stkzoo.kernel import look_around, observe_racing, write_racing_view
 from stkzoo.mdp.spaces import action_of
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE, STEP
+from stkzoo.wrappers.racing.features import CONTEST_SIZE, KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE, STEP
 from stkzoo.wrappers.racing.surroundings import (
     MAX_SEGMENTS,
     RoadTable,
@@ -64,6 +64,8 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         ConfigError: the environment is in another view.
     """
 
+    _size, _extras = SIZE, frozenset[str]()
+
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
         space = env.observation_space
@@ -75,7 +77,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
                 f"Found {shortened(space)}"
             )
         refuse_polar(space, "RacingObservations", "not around PolarObservations")
-        vector = spaces.Box(-5.0, 5.0, (SIZE,), np.float32)
+        vector = spaces.Box(-5.0, 5.0, (self._size,), np.float32)
         self.observation_space = vector
         self._has_action = "action" in space.spaces
         if self._has_action:
@@ -84,17 +86,47 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
-        if not plan.is_full:
+        if not plan.is_full(self._extras):
             return False
-        plan.observer = _RacingObserver(plan.new_observer())
+        plan.observer = self._observer(plan.new_observer())
         return True
 
     def observation(self, observation: dict[str, Any]) -> Any:
         """Returns the vector ``(SIZE,)`` float32, with the AI's action if there is one."""
-        vector = racing_features(surroundings_of(observation))[0]
+        vector = self._vector(observation)
         if not self._has_action:
             return vector
         return {"action": observation["action"], "observation": vector}
+
+    @property
+    def _observer(self) -> type[_RacingObserver]:
+        return _RacingObserver
+
+    def _vector(self, observation: Mapping[str, Any]) -> FloatArray:
+        vector: FloatArray = racing_features(surroundings_of(observation))[0]
+        return vector
+
+
+class ContestObservations(RacingObservations, CompiledWrapper):
+    """:class:`RacingObservations`, followed by the standing in the race: rank, progress, rivals.
+
+    :data:`stkzoo.mdp.spaces.STANDING` describes the standing.
+
+    Args:
+        env: an environment in the ``full`` view that observes the standing.
+
+    Raises:
+        ConfigError: the environment is in another view.
+    """
+
+    _size, _extras = CONTEST_SIZE, frozenset({"standing"})
+
+    @property
+    def _observer(self) -> type[_RacingObserver]:
+        return _ContestObserver
+
+    def _vector(self, observation: Mapping[str, Any]) -> FloatArray:
+        return np.concatenate([super()._vector(observation), observation["standing"]])
 
 
 class _RacingObserver:
@@ -109,9 +141,20 @@ class _RacingObserver:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         if _is_short(source):
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
-            batch[rows] = racing_features(surroundings_of(seen))
+            batch[rows, :SIZE] = racing_features(surroundings_of(seen))
         else:
             road_observer(source.track_map).observe_into(source.snapshot, karts, rows, batch)
+
+
+class _ContestObserver(_RacingObserver):
+    """Makes the vectors of :class:`ContestObservations`."""
+
+    def observe_into(
+        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
+    ) -> None:
+        """See :class:`~stkzoo.views.plan.RowObserver`."""
+        super().observe_into(source, karts, rows, batch)
+        source.standing_into(karts, rows, batch, SIZE)
 
 
 def _is_short(source: ObservationSource) -> bool:
@@ -141,7 +184,7 @@ class RoadObserver:
             snapshot: current snapshot of the race.
             karts: ``(A,)`` indices of the karts.
             rows: ``(A,)`` row of each kart.
-            views: ``(N, SIZE)`` float32, modified in place.
+            views: ``(N, F)`` float32; the first ``SIZE`` columns are modified in place.
         """
         observe_racing(self._road, KERNEL_TABLES, snapshot.data, karts, rows, views)
 

@@ -92,22 +92,6 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
     }
 
 
-def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -> FloatArray:
-    """Returns the controls of all karts, ``(K, 7)`` float32, in the order of ``CONTROLS``.
-
-    Args:
-        scene: description of the race.
-        snapshot: current state, which includes the controls of the game's AI.
-        actions: actions of the agents by id, in the game's action space.
-    """
-    rows = np.array(snapshot.karts["control"], np.float32)
-    for number, kart in enumerate(scene.kart_indices):
-        action = actions.get(f"kart_{number}")
-        if isinstance(action, Mapping):
-            rows[kart] = [float(np.ravel(action.get(name, 0))[0]) for name in CONTROLS]
-    return rows
-
-
 def trace_row(
     scene: Scene, snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]
 ) -> FloatArray:
@@ -116,7 +100,7 @@ def trace_row(
     Args:
         scene: description of the race.
         snapshot: current state.
-        controls: controls of all karts, from :func:`control_rows`.
+        controls: ``(K, 7)`` float32, controls of all karts.
         rewards: sum of rewards of each kart, in grid order.
 
     Returns:

@@ -86,7 +86,6 @@ class RaceBroadcast:
         snapshot: Snapshot,
         steps: int,
         *,
-        actions: Mapping[str, Any] | None = None,
         rewards: Mapping[str, float] | None = None,
         details: Mapping[str, Mapping[str, Any]] | None = None,
         failures: Mapping[str, str] | None = None,
@@ -96,7 +95,6 @@ class RaceBroadcast:
         Args:
             snapshot: state after the step.
             steps: number of environment steps so far.
-            actions: actions by agent, in the game's action space.
             rewards: sums of rewards since the start by agent.
             details: values for the page's tree by agent and part.
             failures: last failure by agent.
@@ -110,7 +108,7 @@ class RaceBroadcast:
         totals = [0.0] * scene.num_kart
         for number, kart in enumerate(scene.kart_indices):
             totals[kart] = (rewards or {}).get(f"kart_{number}", 0.0)
-        controls = messages.control_rows(scene, snapshot, actions or {})
+        controls = snapshot.karts["control"]
         traces = messages.trace_row(scene, snapshot, controls, totals)
         news = self._server.news
         news.traces.add(steps, traces)
@@ -178,7 +176,6 @@ class LivePage(RaceBroadcast, RaceListener):
         self.add(
             race.snapshot,
             race.steps,
-            actions=race.actions,
             rewards=race.total_rewards,
             details=_details(race),
             failures={agent: all_[-1].message for agent, all_ in race.failures.items() if all_},
