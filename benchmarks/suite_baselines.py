@@ -1,7 +1,7 @@
 """Evaluates the built-in drivers in the tasks of the suite, for normalized scores.
 
     python -m benchmarks.suite_baselines               # about an hour; continues if interrupted
-    python -m benchmarks.suite_baselines --tasks solo-1
+    python -m benchmarks.suite_baselines --tasks solo-general
 
 Writes ``stkzoo/suite/baselines.json``: the score of each driver in each task, with its interval. In
 each task, *random* has the normalized score 0 and *zenith* 1, by definition.

@@ -46,7 +46,7 @@ class AgentSpec:
             the game's default.
         color: hue shift of the kart, in [0, 1]; 0 keeps the original color.
         team: number of the agent's team; ``None`` for none. Karts of a team are marked in the view
-            ``contest``, and :class:`~stkzoo.wrappers.Teams` shares their rewards.
+            ``contest``, and :class:`~stkzoo.wrappers.marl.Teams` shares their rewards.
     """
 
     rank_start: int | None = None

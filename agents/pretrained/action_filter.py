@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -52,20 +53,33 @@ class ActionFilter:
         karts: number of karts.
         hold: minimum steps of a drift; 0 leaves drifts and nitro to the choices.
         memory: the karts' memory, if the caller updates it and never calls :meth:`look`.
+        recovers: whether stuck karts free themselves.
+        samples: whether :meth:`drive` samples choices from their probabilities. The seed is the
+            kart's first observation, so a race can be repeated.
     """
 
-    def __init__(self, karts: int, hold: int, memory: DriverMemory | None = None) -> None:
-        self._hold = hold
+    def __init__(
+        self,
+        karts: int,
+        hold: int,
+        memory: DriverMemory | None = None,
+        *,
+        recovers: bool = True,
+        samples: bool = False,
+    ) -> None:
+        self._hold, self._recovers, self._samples = hold, recovers, samples
+        self._random: np.random.Generator | None = None
         self._memory = memory or DriverMemory(karts, DriverParameters())
         self._has_moved = np.zeros(karts, np.bool_)
         self._views = np.zeros((karts, SIZE), np.float32)
 
-    def drive(self, observation: FloatArray, choose: Callable[[FloatArray], IntArray]) -> IntArray:
+    def drive(self, observation: FloatArray, choose: Callable[..., IntArray]) -> IntArray:
         """Returns the choices ``(5,)`` of one kart; call it once per step.
 
         Args:
-            observation: observation in the view ``racing``, ``(165,)``.
-            choose: returns a policy's choices ``(1, 5)``.
+            observation: observation in the view ``racing`` or ``contest``.
+            choose: returns a policy's choices ``(1, 5)`` for its input and, if the filter samples,
+                the noise that is added to the logits.
         """
         return self.drive_together([self], [observation], choose)[0]
 
@@ -73,7 +87,7 @@ class ActionFilter:
     def drive_together(
         filters: Sequence[ActionFilter],
         observations: Sequence[FloatArray],
-        choose: Callable[[FloatArray], IntArray],
+        choose: Callable[..., IntArray],
     ) -> list[IntArray]:
         """Returns the same choices as :meth:`drive` for each filter, bit for bit, in less time.
 
@@ -84,7 +98,10 @@ class ActionFilter:
                 kart.
         """
         joined = filters[0] if len(filters) == 1 else ActionFilter._joined(filters)
-        done = joined.apply(choose(joined.look(np.stack(observations))))
+        pairs = zip(filters, observations, strict=True)
+        noise = [single._noise(seen) for single, seen in pairs if single._samples]
+        inputs = joined.look(np.stack(observations))
+        done = joined.apply(choose(inputs, np.stack(noise)) if noise else choose(inputs))
         if len(filters) > 1:
             for row, single in enumerate(filters):
                 single._memory.take(joined._memory, slice(row, row + 1))
@@ -94,18 +111,24 @@ class ActionFilter:
     @classmethod
     def _joined(cls, filters: Sequence[ActionFilter]) -> ActionFilter:
         memory = DriverMemory.joined([single._memory for single in filters])
-        joined = cls(0, filters[0]._hold, memory)
+        joined = cls(0, filters[0]._hold, memory, recovers=filters[0]._recovers)
         joined._has_moved = np.concatenate([single._has_moved for single in filters])
         return joined
+
+    def _noise(self, observation: FloatArray) -> FloatArray:
+        """Returns Gumbel noise for the logits of one kart's choices."""
+        if self._random is None:
+            self._random = np.random.default_rng(zlib.crc32(observation.tobytes()))
+        return self._random.gumbel(size=sum(CHOICES)).astype(np.float32)
 
     def look(self, views: FloatArray) -> FloatArray:
         """Advances the memory by one step.
 
         Args:
-            views: ``(karts, 165)``.
+            views: ``(karts, F)`` observations in the view ``racing`` or ``contest``.
 
         Returns:
-            Input of the policy, ``(karts, 177)``: the views and the memory.
+            Input of the policy, ``(karts, F + 12)``: the views and the memory.
         """
         self._memory.look(20.0 * views[:, _SPEED], views[:, _SKEED])
         aside = np.hypot(views[:, _LINE], views[:, _LINE + 2]) - views[:, _ROOM]
@@ -123,6 +146,8 @@ class ActionFilter:
         """Returns the filtered choices ``(karts, 5)`` for choices made from the latest input."""
         done, now = np.array(choices, np.int64), self._memory.situation()
         backs, calls = self._memory.stuck()
+        if not self._recovers:
+            backs, calls = np.zeros_like(backs), np.zeros_like(calls)
         side = np.where(backs | calls, 0, self._drift_side(done, now))
         turn = STEERS[done[:, _STEER]]
         if self._hold:
@@ -142,7 +167,7 @@ class ActionFilter:
         self._memory.act(side.astype(np.intp), turn.astype(np.float32), nitro, fire)
         return done
 
-    def forget(self, karts: slice) -> None:
+    def forget(self, karts: slice | IntArray) -> None:
         """Resets some karts."""
         self._memory.forget(np.arange(len(self._has_moved))[karts])
         self._has_moved[karts] = False

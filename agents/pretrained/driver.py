@@ -69,7 +69,8 @@ def new_state(folder: str | Path) -> PlanDriver | ActionFilter:
     """
     policy = read_policy(folder)
     if isinstance(policy, MlpDriver):
-        return ActionFilter(1, policy.hold)
+        card = read_card(folder)
+        return ActionFilter(1, policy.hold, recovers=card.recovers, samples=card.samples)
     return PlanDriver(1, read_numbers(folder))
 
 
@@ -95,12 +96,16 @@ class AgentCard:
             :class:`~stkzoo.agents.pretrained.ensemble.EnsemblePolicy` checks it.
         rules: parameters of the plans, unchecked.
         runs: the training runs, for the cards of ensembles with this driver.
+        recovers: whether stuck karts of a network without plans free themselves.
+        samples: whether such a network samples its choices, or takes the most likely ones.
     """
 
     sha256: Annotated[str, matching("[0-9a-f]{64}")]
     ensemble_weight: Any = None
     rules: Any = None
     runs: list[dict[str, Any]] = field(default_factory=list)
+    recovers: bool = True
+    samples: bool = False
 
 
 def read_card(folder: str | Path) -> AgentCard:

@@ -11,13 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo.agents.planning import FloatArray, IntArray
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.planning.network import Mlp
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import CHOICES, SIZE
+from stkzoo.wrappers.racing import CHOICES, CONTEST_SIZE, SIZE
 
 from .action_filter import INPUT_SIZE
 from .weights import load_weights
 
+#: Name of the view by the size of the input.
+_VIEWS = {
+    size + memory: view
+    for view, size in (("racing", SIZE), ("contest", CONTEST_SIZE))
+    for memory in (0, MEMORY_SIZE)
+}
 _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
 #: Boundaries between the logits of the choices.
@@ -40,6 +47,7 @@ class MlpDriver:
     Attributes:
         hold: minimum steps of a drift.
         inputs: size of the input: the view, and usually the memory of the action filter.
+        view: name of the view: ``"racing"`` or ``"contest"``.
         hidden: units of the hidden layers.
 
     Raises:
@@ -59,7 +67,8 @@ class MlpDriver:
         if _LAST.format("weight") in weights:
             layers.append(_layer(weights, "action_net.{1}", 0))
         shapes = [matrix.shape for matrix, _ in layers]
-        self.inputs = SIZE if shapes and shapes[0][-1] == SIZE else INPUT_SIZE
+        self.inputs = shapes[0][-1] if shapes and shapes[0][-1] in _VIEWS else INPUT_SIZE
+        self.view = _VIEWS[self.inputs]
         sizes = [self.inputs, *(len(bias) for _, bias in layers)]
         wanted = list(zip(sizes[1:], sizes, strict=False))
         arrays = [array for layer in layers for array in layer]
@@ -71,9 +80,10 @@ class MlpDriver:
         ):
             raise ConfigError(
                 f"{name} have layers of the shapes {shapes}, expected finite ones of a "
-                f"Stable-Baselines3 MlpPolicy from the {SIZE} numbers of the view 'racing', or "
-                f"{INPUT_SIZE} with what the action filter remembers, to its "
-                f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
+                f"Stable-Baselines3 MlpPolicy from the {SIZE} numbers of the view 'racing' or the "
+                f"{CONTEST_SIZE} of 'contest', or {MEMORY_SIZE} more with what the action filter "
+                f"remembers, to its {sum(CHOICES)} choices (mlp_extractor.policy_net.*, "
+                "action_net.*)"
             )
         self.hidden = tuple(sizes[1:-1])
         self._mlp = Mlp([(matrix.T, bias) for matrix, bias in layers], True)
@@ -86,14 +96,19 @@ class MlpDriver:
         """
         return self._mlp(observations)
 
-    def best(self, observations: FloatArray) -> IntArray:
-        """Returns the most likely choices, ``(A, 5)``; each row depends only on its own input."""
-        return _likeliest(self.logits(observations))
+    def best(self, observations: FloatArray, noise: FloatArray | float = 0.0) -> IntArray:
+        """Returns the most likely choices, ``(A, 5)``; each row depends only on its own input.
+
+        Args:
+            observations: as for :meth:`logits`.
+            noise: added to the logits; Gumbel noise ``(A, 31)`` samples from the probabilities.
+        """
+        return _likeliest(self.logits(observations) + np.float32(noise))
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Samples choices from their probabilities, ``(A, 5)``."""
-        logits = self.logits(observations)
-        return _likeliest(logits + random.gumbel(size=logits.shape).astype(np.float32))
+        noise = random.gumbel(size=(len(observations), sum(CHOICES)))
+        return self.best(observations, noise.astype(np.float32))
 
 
 def log_probabilities(logits: FloatArray) -> FloatArray:

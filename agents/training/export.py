@@ -93,6 +93,9 @@ def export_policy(
     folder: str | Path,
     ensemble_weight: float | None = None,
     plans: str | Path = "",
+    *,
+    recovers: bool = True,
+    samples: bool = False,
 ) -> Path:
     """Writes the folder of an agent; replaces an existing agent, but no other folder.
 
@@ -105,6 +108,8 @@ def export_policy(
             ensemble.
         plans: JSON file of plan parameters for an ensemble; empty for those with which its policies
             over plans learned, or the default ones.
+        recovers: see :class:`~stkzoo.agents.pretrained.driver.AgentCard`, also for ``samples``.
+        samples: whether a network without plans samples its choices.
 
     Returns:
         The folder.
@@ -135,6 +140,8 @@ def export_policy(
         "parameters": sum(array.size for array in arrays.values()),
         "runs": [run for source in sources for run in _runs_of(source)],
         "stkzoo": stkzoo.__version__,
+        "recovers": recovers,
+        "samples": samples,
         **rules,
     }
     # The card is first: it marks the folder as an agent, even if this program is killed later.
@@ -167,7 +174,8 @@ def _agent_of(
         )
     arrays = load_weights(sources[0])
     if is_network(arrays):
-        return _network(arrays, sources[0]), "racing", {}
+        network = _network(arrays, sources[0])
+        return network, MlpDriver(network).view, {}
     check_shapes(arrays, str(sources[0]))
     rules = run_parameters(sources[0])
     return arrays, _view_of(rules), {"rules": asdict(rules)}

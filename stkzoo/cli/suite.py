@@ -7,7 +7,6 @@ replay of each race. `verify` runs all races of an entry again and compares ever
 Examples:
   stkzoo suite list                             the tasks and the population
   stkzoo suite train versus ippo                train an agent
-  stkzoo suite exploit pretrained:ace           train an opponent that beats it
   stkzoo suite evaluate versus heuristic        120 races on the test tracks
   stkzoo suite verify suite/versus-heuristic    run all races again
   stkzoo suite conduct suite/versus-heuristic   contacts, time off the road
@@ -70,25 +69,6 @@ class TrainArguments:
     task: str = positional()
     algorithm: str = positional()
     kart_steps: int | None = None
-    seed: int = 0
-    output: Path | None = option(metavar="FOLDER")
-
-
-@dataclass
-class ExploitArguments:
-    """Options of ``stkzoo suite exploit``.
-
-    Attributes:
-        driver: the frozen driver, such as heuristic, pretrained:ace or the folder of an agent
-        kart_steps: number of kart-steps to learn from
-        init: agent of a reference algorithm to start from (default: from scratch)
-        seed: seed of all random numbers
-        output: folder of the run (default: runs/exploit-DRIVER-SEED)
-    """
-
-    driver: str = positional()
-    kart_steps: int = 1_000_000
-    init: Path | None = option(metavar="AGENT")
     seed: int = 0
     output: Path | None = option(metavar="FOLDER")
 
@@ -204,12 +184,11 @@ def _train(arguments: TrainArguments) -> int:
 
     Algorithms:
       ippo     independent PPO: learns from each kart's own view and reward
-      mappo    the same with a value network that sees the whole race
-      fsp      fictitious self-play: ippo that also meets all its past policies
-      pfsp     like fsp, but prefers the past policies that it beats least often
+      mappo    the same with a value network that also sees the other learners
+      pfsp     ippo that also meets past policies, above all those that beat it
 
     Examples:
-      stkzoo suite train solo-1 ippo
+      stkzoo suite train solo-general ippo
       stkzoo suite train versus ippo --seed 2 --output runs/second
       stkzoo suite train versus ippo --kart-steps 10000000       the long tier
     """
@@ -223,34 +202,6 @@ def _train(arguments: TrainArguments) -> int:
     return 0
 
 
-def _exploit(arguments: ExploitArguments) -> int:
-    """Train an exploiter against a frozen driver, and show its win rate over kart-steps.
-
-    Trains an exploiter, an agent that learns only to beat one driver. It learns by PPO in races of
-    two karts on the training tracks. The driver never changes. A high win rate after few kart-steps
-    shows a weakness that the driver's results against others do not. To continue a run, also after
-    a kill, repeat the command.
-
-    Examples:
-      stkzoo suite exploit heuristic
-      stkzoo suite exploit pretrained:ace --init runs/solo-general-ippo-0/agent
-      python -m stkzoo.agents.training.plot runs/exploit-heuristic-0
-    """
-    driver, init = arguments.driver, arguments.init
-    name = Path(driver).name.replace(":", "-")
-    folder = arguments.output or Path("runs", f"exploit-{name}-{arguments.seed}")
-    exploit = import_module(f"{_TRAINING}.exploit")
-    curve = exploit.run(
-        folder, driver, arguments.kart_steps, arguments.seed, "" if init is None else str(init)
-    )
-    if not curve:
-        say("No race has ended; raise --kart-steps.")
-        return 0
-    shown = {round(10 * steps / arguments.kart_steps): (steps, won) for steps, won in curve}
-    show_table(("kart-steps", "won"), shown.values())
-    return 0
-
-
 def _evaluate(arguments: EvaluateArguments) -> int:
     """Evaluate an agent in a task.
 
@@ -259,7 +210,7 @@ def _evaluate(arguments: EvaluateArguments) -> int:
     resumes. An agent from files needs its --class, unless stkzoo trained it.
 
     Examples:
-      stkzoo suite evaluate solo-1 heuristic
+      stkzoo suite evaluate solo-general heuristic
       stkzoo suite evaluate versus runs/versus-ippo-0/agent
       stkzoo suite evaluate versus my_agent.zip@:Nova --class learned
       stkzoo suite evaluate versus my_agent/ --class learned --split train
@@ -358,7 +309,7 @@ def _report(arguments: SuiteReportArguments) -> int:
     return 0
 
 
-ACTIONS = (_list, _train, _exploit, _evaluate, _verify, _conduct, _report)
+ACTIONS = (_list, _train, _evaluate, _verify, _conduct, _report)
 
 
 def _show_tasks(tasks: Sequence[suite.Task]) -> None:

@@ -35,7 +35,7 @@ from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 #: Name of the file with the scores in the folder of an entry.
 ENTRY_FILE = "entry.json"
 #: Settings of the races that the task sets.
-DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths", "adapter")
+DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths", "adapter", "teams")
 #: Splits of a task's tracks. Only an evaluation on the test tracks is an entry.
 TEST, TRAIN = "test", "train"
 _BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
@@ -244,7 +244,10 @@ def plan_entry(
         forms=("P",),
         seeds=task.seeds if is_test else 1,
         settings=replace(
-            batch_settings(settings, changes, EntryPlan.decided), max_paths=None, adapter=None
+            batch_settings(settings, changes, EntryPlan.decided),
+            max_paths=None,
+            adapter=None,
+            teams=bool(task.teams),
         ),
     )
     values = {entry.name: getattr(base, entry.name) for entry in fields(base)}

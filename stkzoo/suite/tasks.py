@@ -1,4 +1,4 @@
-"""The five tasks of stkzoo-suite-1: what agents learn, on which tracks, and how they are evaluated.
+"""The four tasks of stkzoo-suite-1: what agents learn, on which tracks, and how they are evaluated.
 
 A task never changes. :attr:`Task.digest` identifies its definition; another definition is another
 suite.
@@ -17,10 +17,10 @@ from pettingzoo import ParallelEnv
 
 from stkzoo._checks import check_name
 from stkzoo._schema import Count, Whole, one_of
+from stkzoo.config import AgentSpec
 from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.evaluation.benchmark.races import BenchmarkForm
-from stkzoo.mdp.state import state_space
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 from stkzoo.views import ViewFactory, find_view
 from stkzoo.wrappers.marl import Teams
@@ -33,7 +33,7 @@ _NAMESPACE = "stkzoo-suite"
 DIFFICULTY = 3
 #: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of
 #: learners of their tasks: self-play needs two.
-ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2}
+ALGORITHMS = {"ippo": 1, "mappo": 2, "pfsp": 2}
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 
@@ -69,7 +69,7 @@ class Task:
     test_tracks: tuple[str, ...] = TEST_TRACKS
     learners: Whole
     rivals: Count = 0
-    view: str = "racing"
+    view: str = "contest"
     reward: str = "race"
     teams: tuple[tuple[Count, ...], ...] = ()
     forms: tuple[str, ...]
@@ -81,9 +81,7 @@ class Task:
     @property
     def digest(self) -> str:
         """SHA-256 of the definition, including the suite's name and all defaults."""
-        # The digests of the suite contain two rules that none of its tasks has any more.
-        rules = {"suite": SUITE, "sight": None, "words": 0, **asdict(self)}
-        text = json.dumps(rules, sort_keys=True)
+        text = json.dumps({"suite": SUITE, **asdict(self)}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -102,10 +100,21 @@ class Task:
         ends = sum(len(BenchmarkForm.of(form).ends) for form in self.forms)
         return len(self.test_tracks) * 2 * ends * self.seeds
 
-    @property
-    def state_size(self) -> int:
-        """Size of the state of a race during learning (``env.state()``)."""
-        return int(state_space(self.num_kart).shape[0])
+    def places(self) -> list[list[AgentSpec]]:
+        """Returns the learners' places on the grid and teams, once for each end of the grid.
+
+        As in the evaluation, learners with rivals start at the front or at the back. Members of a
+        team start next to each other.
+        """
+        team_of = {agent: number for number, team in enumerate(self.teams) for agent in team}
+        firsts = [0, self.rivals] if self.rivals else [0] if self.teams else [None]
+        return [
+            [
+                AgentSpec(None if first is None else first + agent, team=team_of.get(agent))
+                for agent in range(self.learners)
+            ]
+            for first in firsts
+        ]
 
     def options(self, split: str = "train") -> dict[str, Any]:
         """Returns the task's arguments of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
@@ -122,7 +131,7 @@ class Task:
         check_name("split", split, tracks)
         return {
             "num_kart": self.num_kart,
-            "agents": self.learners,
+            "agents": self.places()[0] if self.teams else self.learners,
             "track": tracks[split],
             "reverse": None,
             "difficulty": DIFFICULTY,
@@ -144,7 +153,7 @@ class Task:
         """
         env: ParallelEnv[str, Any, Any] = RaceParallelEnv(**{**self.options(split), **options})
         if self.teams:
-            env = Teams(env, teams=self.teams, share=1.0)
+            env = Teams(env)
         return env
 
 
@@ -152,17 +161,6 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task(
-            name="solo-1",
-            goal="Drive one track alone, in both directions.",
-            train_tracks=("lighthouse",),
-            test_tracks=("lighthouse",),
-            learners=1,
-            forms=("P",),
-            seeds=10,
-            metric=TIME_RATIO,
-            budget=1_000_000,
-        ),
         Task(
             name="solo-general",
             goal="Drive alone on tracks that were never seen.",
@@ -190,7 +188,7 @@ TASKS = {
             name="team-2v2",
             goal="Win as a team of two that shares its rewards.",
             learners=4,
-            teams=((0, 3), (1, 2)),
+            teams=((0, 1), (2, 3)),
             forms=("PPBB",),
             seeds=5,
         ),

@@ -10,8 +10,10 @@ import safetensors.numpy
 
 from stkzoo import race_v0
 from stkzoo.agents.planning.driver import ALL_LOOKS, CHOICES, INPUT_SIZE
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained import action_filter
+from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.driver import make_actor, new_state, read_policy
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
 from stkzoo.agents.pretrained.mlp import MlpDriver
@@ -19,8 +21,8 @@ from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
-from stkzoo.race import driver_names, find_driver, run_race
-from stkzoo.wrappers.racing import surroundings_of
+from stkzoo.race import RaceListener, driver_names, find_driver, run_race
+from stkzoo.wrappers.racing import CONTEST_SIZE, PLACES, SIZE, surroundings_of
 from tests.support.networks import small_network
 
 LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
@@ -66,6 +68,54 @@ def test_a_network_without_plans_can_be_exported(quick_agent):
     assert (driver.hold, driver.inputs) == (1, action_filter.INPUT_SIZE)
     result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
     assert result.agents[0].num_errors == 0
+
+
+@pytest.mark.slow
+def test_an_agent_in_the_contest_view_can_sample_its_choices(tmp_path):
+    """A race repeats, and the agent's karts draw different choices."""
+    inputs = CONTEST_SIZE + MEMORY_SIZE
+    save_weights(tmp_path / "policy.safetensors", small_network(inputs=inputs))
+    race = {"track": "olivermath", "max_steps": 30, "seed": 3, "inline": True}
+    results = {}
+    for name in ("samples", "again", "likeliest"):
+        samples = name != "likeliest"
+        folder = tmp_path / name
+        export_policy(tmp_path / "policy.safetensors", name, folder, samples=samples)
+        assert 'env_name = "supertuxkart/contest-v0"' in (folder / "pystk_actor.py").read_text()
+        recorder = Controls()
+        run_race([str(folder)] * 2, **race, listeners=[recorder])
+        results[name] = np.array(recorder.rows)
+    assert (results["samples"] == results["again"]).all()
+    assert (results["samples"] != results["likeliest"]).any()
+    assert (results["samples"][:, 0] != results["samples"][:, 1]).any()
+
+
+class Controls(RaceListener):
+    """Records the controls of all karts in each step."""
+
+    def __init__(self):
+        self.rows = []
+
+    def stepped(self, race):
+        self.rows.append(race.snapshot.karts["control"].copy())
+
+
+def test_a_stuck_kart_drives_on_only_if_the_filter_recovers():
+    views = np.zeros((1, SIZE), np.float32)
+    views[:, PLACES["velocity"].start + 2] = 0.5  # moves, then stands still
+    forward = np.array([[10, 0, 0, 0, 0]])
+    pedals = {}
+    for recovers in (True, False):
+        action_filter = ActionFilter(1, 11, recovers=recovers)
+        action_filter.look(views)
+        action_filter.apply(forward)
+        steps = []
+        for _ in range(30):
+            action_filter.look(np.zeros_like(views))
+            steps.append(int(action_filter.apply(forward)[0, 1]))
+        pedals[recovers] = set(steps)
+    assert pedals[False] == {0}
+    assert pedals[True] > {0}
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_the_label_of_an_agent_becomes_a_safe_file_name(label, name):
     [
         (["benchmark"], "benchmark/_"),
         (["benchmark", "--time-trial"], "benchmark/_-time-trial"),
-        (["suite", "evaluate", "solo-1", "--class", "learned"], "suite/solo-1-_"),
+        (["suite", "evaluate", "solo-general", "--class", "learned"], "suite/solo-general-_"),
     ],
 )
 def test_an_agent_does_not_choose_the_output_folder(words, folder, tmp_path, monkeypatch):

@@ -14,7 +14,9 @@ from stkzoo.suite.about import shipped_class
 from stkzoo.suite.entry import ENTRY_FILE, entry_orders
 
 
-@pytest.mark.parametrize(("name", "races"), [("solo-1", 2), ("versus", 60), ("selfplay-5", 120)])
+@pytest.mark.parametrize(
+    ("name", "races"), [("solo-general", 30), ("versus", 60), ("selfplay-5", 120)]
+)
 def test_the_training_tracks_have_one_race_of_each_kind(name, races):
     plan = plan_entry(name, "random", split="train")
     assert plan.tracks == TASKS[name].train_tracks
@@ -38,7 +40,7 @@ def test_an_unknown_split_is_refused(capsys):
     assert "choose from" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["solo-1", "versus"])
+@pytest.mark.parametrize("name", ["solo-general", "versus"])
 def test_an_evaluation_on_the_training_tracks_is_not_an_entry(name, tmp_path):
     evaluation = Entry(plan_entry(name, "random", split="train"), ())
     (tmp_path / ENTRY_FILE).write_text(evaluation.to_json())
@@ -47,7 +49,10 @@ def test_an_evaluation_on_the_training_tracks_is_not_an_entry(name, tmp_path):
 
 
 def test_an_evaluation_on_the_training_tracks_does_not_continue_as_an_entry():
-    entry, other = plan_entry("solo-1", "random"), plan_entry("solo-1", "random", split="train")
+    entry, other = (
+        plan_entry("solo-general", "random"),
+        plan_entry("solo-general", "random", split="train"),
+    )
     assert plan_differences(entry, other)
 
 
@@ -108,20 +113,20 @@ def test_the_class_of_a_driver_of_stkzoo_is_filled_in_and_cannot_be_contradicted
         sees_copies = load is not None and load(resources).make_race_actor is not None
     expected = "search" if sees_copies else "scripted"
     expected = "learned" if name.startswith("pretrained:") else expected
-    assert plan_entry("solo-1", name).about.agent_class == expected == shipped_class(name)
+    assert plan_entry("solo-general", name).about.agent_class == expected == shipped_class(name)
     other = "scripted" if expected == "learned" else "learned"
     with pytest.raises(ConfigError, match=f"comes with stkzoo and its class is {expected}, not"):
-        plan_entry("solo-1", name, about=About(agent_class=other))
+        plan_entry("solo-general", name, about=About(agent_class=other))
 
 
 def test_an_agent_from_files_names_its_class(tmp_path, capsys):
     agent = agent_folder(tmp_path)
-    assert main(["suite", "evaluate", "solo-1", agent]) == 2
+    assert main(["suite", "evaluate", "solo-general", agent]) == 2
     assert "'nova' has no class; choose one of learned, scripted, search (--class)" in (
         capsys.readouterr().err
     )
     about = About(agent_class="search", demonstrations=True)
-    assert plan_entry("solo-1", agent, about=about).about == about
+    assert plan_entry("solo-general", agent, about=about).about == about
 
 
 def test_the_card_of_a_trained_agent_says_how_it_was_trained(tmp_path):
@@ -130,21 +135,21 @@ def test_the_card_of_a_trained_agent_says_how_it_was_trained(tmp_path):
     agent = agent_folder(tmp_path, {"runs": [run]})
     facts = {"agent_class": "learned", "kart_steps": 2_000_000, "training_seed": 3}
     for changes in ({"authors": "Ada"}, {"algorithm": "ippo, tuned"}):
-        about = plan_entry("solo-1", agent, about=About(**changes)).about
+        about = plan_entry("solo-general", agent, about=About(**changes)).about
         assert about == About(**{**facts, "algorithm": "ippo", **changes})
 
 
 @pytest.mark.parametrize("card", [{"runs": 3}, {"runs": []}, ["other"], None])
 def test_a_card_of_another_program_says_nothing(tmp_path, card):
     with pytest.raises(ConfigError, match="'nova' has no class"):
-        plan_entry("solo-1", agent_folder(tmp_path, card))
+        plan_entry("solo-general", agent_folder(tmp_path, card))
 
 
 @pytest.mark.parametrize("label", ["heuristic", "Heur\u200bistic", "pretrained:zenith", "ai:3"])
 def test_an_agent_from_files_cannot_have_the_name_of_a_driver_of_stkzoo(label, tmp_path):
     agent = agent_folder(tmp_path)
     with pytest.raises(ConfigError, match=f"is called .*{label[-4:]}', like a driver of stkzoo"):
-        plan_entry("solo-1", f"{agent}@:{label}", about=About(agent_class="learned"))
+        plan_entry("solo-general", f"{agent}@:{label}", about=About(agent_class="learned"))
 
 
 # ------------------------------------------------------------------ fresh races
@@ -176,4 +181,4 @@ def test_a_text_draws_other_races_with_other_rivals():
 )
 def test_options_that_would_make_other_races_are_refused(options, message):
     with pytest.raises(ConfigError, match=message):
-        plan_entry("solo-1", "random", **options)
+        plan_entry("solo-general", "random", **options)

@@ -46,7 +46,7 @@ def written(tmp_path_factory):
     """Writes two runs, and an entry of a driver."""
     folder = tmp_path_factory.mktemp("runs")
     for seed in (0, 1):
-        write_run(folder, "solo-1", "ippo", seed, constant(1.0 + seed / 10))
+        write_run(folder, "solo-general", "ippo", seed, constant(1.0 + seed / 10))
     return folder
 
 
@@ -80,7 +80,7 @@ def test_scores_are_on_the_scale_of_random_and_zenith():
     ("name", "facts", "iqm", "text"),
     [
         ("team-2v2", {}, 0.5, "*IQM* and *gap* are the metric."),
-        ("solo-1", {}, -0.5, "*IQM* and *gap* are the metric with a minus sign."),
+        ("solo-general", {}, -0.5, "*IQM* and *gap* are the metric with a minus sign."),
         ("versus", {"fresh": "a"}, 0.5, 'The seeds of the races are drawn from "a".'),
     ],
 )
@@ -174,13 +174,13 @@ def test_the_power_follows_from_the_variance_between_runs():
 
 @pytest.mark.slow
 def test_a_report_has_all_its_files_and_is_reproducible(runs, tmp_path, capsys):
-    driver = replace(plan_of("solo-1", "rules", 0, agent_class="scripted"))
+    driver = replace(plan_of("solo-general", "rules", 0, agent_class="scripted"))
     evaluation_of(driver, constant(0.9), tmp_path / "entries" / "rules")
     paths = [str(runs), str(tmp_path / "entries")]
     one, two = tmp_path / "one", tmp_path / "two"
     assert main(["suite", "report", *paths, "--output", str(one)]) == 0
     assert f"Wrote the report of 3 runs to {one / 'report.md'}" in capsys.readouterr().out
-    write_suite_report([*paths, runs / "solo-1-ippo-0"], two)
+    write_suite_report([*paths, runs / "solo-general-ippo-0"], two)
     assert {file.name for file in one.iterdir()} == FILES  # a single learned algorithm
     for name in FILES:
         assert (one / name).read_bytes() == (two / name).read_bytes(), name
@@ -190,7 +190,7 @@ def test_a_report_has_all_its_files_and_is_reproducible(runs, tmp_path, capsys):
     assert (ippo.kart_steps, ippo.training_hours) == (2e6, pytest.approx(2000 / 3600))
     assert ippo.returns.values[-1] == pytest.approx(97.5)
     assert rules.returns is rules.gap is None
-    assert "| ippo | 2 | 1.050 | 0.415..1.685 | - |" in (one / "report.md").read_text()
+    assert "| ippo | 2 | 1.050 | 0.415..1.685 | 1.050..1.050 |" in (one / "report.md").read_text()
 
 
 @pytest.mark.slow
@@ -201,7 +201,7 @@ def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(runs, tmp_path):
     for environment, metrics in zip(
         environments.values(), ({"score"}, {"return", "finished", "position"}), strict=True
     ):
-        seeds = environment["solo-1"]["ippo"]
+        seeds = environment["solo-general"]["ippo"]
         assert list(seeds) == ["seed_0", "seed_1"]
         for steps in seeds.values():
             assert set(steps["absolute_metrics"]) == metrics
@@ -209,8 +209,10 @@ def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(runs, tmp_path):
             assert counts == sorted(counts)
             assert all(set(step) - {"step_count"} == metrics for step in steps.values())
             assert list(steps)[:-1] == [f"step_{n}" for n in range(len(counts))]
-    score = environments["stkzoo-suite-1"]["solo-1"]["ippo"]["seed_0"]["absolute_metrics"]["score"]
-    assert score == pytest.approx([-1.0] * TASKS["solo-1"].num_races)
+    score = environments["stkzoo-suite-1"]["solo-general"]["ippo"]["seed_0"]["absolute_metrics"][
+        "score"
+    ]
+    assert score == pytest.approx([-1.0] * TASKS["solo-general"].num_races)
 
 
 def test_a_missing_library_is_named(runs, tmp_path, monkeypatch, capsys):
@@ -281,12 +283,12 @@ def swap_replays(folder):
         (
             lambda folder: change_entry(folder, finish_sooner),
             EntryRefused,
-            r"is refused:\nrace 0 \(lighthouse forward\), step 1: karts\[0\]\.time is",
+            r"is refused:\nrace 0 \(cocoa_temple forward\), step 1: karts\[0\]\.time is",
         ),
         (
             lambda folder: change_header(folder, 1, lambda header: header.update(status="x")),
             EntryRefused,
-            r"race 1 \(lighthouse reversed\): the replay is not the one of entry\.json",
+            r"race 1 \(cocoa_temple reversed\): the replay is not the one of entry\.json",
         ),
         (swap_replays, EntryRefused, "race 0 .*: the replay is of another race"),
         (lambda folder: replay_of(folder, 3).unlink(), EntryRefused, "see 00003.stkz"),
@@ -295,12 +297,12 @@ def swap_replays(folder):
                 folder, lambda e: [e[n].pop() for n in ("races", "replays")]
             ),
             EntryRefused,
-            "it has 19 of 20 races",
+            "it has 59 of 60 races",
         ),
         (
             lambda folder: change_entry(folder, lambda e: e["plan"].update(task_digest="0" * 64)),
             EntryRefused,
-            "task_digest of the plan is not that of solo-1",
+            "task_digest of the plan is not that of solo-general",
         ),
         (
             lambda folder: change_entry(
@@ -324,17 +326,17 @@ def swap_replays(folder):
         (
             lambda folder: shutil.copytree(folder, folder.parent / "copy"),
             ConfigError,
-            r"are of the same run, solo-1, ippo, 0; leave one out",
+            r"are of the same run, solo-general, ippo, 0; leave one out",
         ),
         (
             shutil.rmtree,
             ConfigError,
-            "entry-train has the training tracks of solo-1, ippo, 0, and its entry is missing",
+            "has the training tracks of solo-general, ippo, 0, and its entry is missing",
         ),
     ],
 )
 def test_a_changed_entry_is_refused(runs, change, error, message):
-    change(runs / "solo-1-ippo-0" / "entry")
+    change(runs / "solo-general-ippo-0" / "entry")
     with pytest.raises(error, match=message):
         load_runs([runs])
 
@@ -350,6 +352,6 @@ def test_a_changed_entry_is_refused(runs, change, error, message):
     ],
 )
 def test_runs_that_cannot_be_compared_are_refused(runs, facts, message):
-    evaluation_of(plan_of("solo-1", "mappo", 0, **facts), constant(1.0), runs / "mappo")
+    evaluation_of(plan_of("solo-general", "mappo", 0, **facts), constant(1.0), runs / "mappo")
     with pytest.raises(ConfigError, match=message):
         load_runs([runs])

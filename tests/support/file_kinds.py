@@ -163,7 +163,7 @@ def _benchmark_result() -> BenchmarkResult:
 
 
 def _entry_plan() -> EntryPlan:
-    return plan_entry("solo-1", "heuristic")
+    return plan_entry("solo-general", "heuristic")
 
 
 def _entry() -> Entry:

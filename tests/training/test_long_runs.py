@@ -21,7 +21,7 @@ KART_STEPS = 100_000
 
 @pytest.mark.parametrize(
     ("algorithm", "task"),
-    [("ippo", "solo-1"), ("mappo", "team-2v2"), ("fsp", "selfplay-5"), ("pfsp", "team-2v2")],
+    [("ippo", "solo-general"), ("mappo", "team-2v2"), ("pfsp", "team-2v2")],
 )
 def test_a_reference_algorithm_resumes_after_a_kill(tmp_path, monkeypatch, algorithm, task):
     monkeypatch.setattr(

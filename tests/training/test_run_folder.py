@@ -143,4 +143,4 @@ def test_two_programs_cannot_train_in_one_folder(name, tmp_path, capsys):
 @pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
 def test_two_programs_cannot_train_a_reference_algorithm_in_one_folder(tmp_path):
     with locked_folder(tmp_path, "run"), pytest.raises(ConfigError, match="another program works"):
-        algorithms.run("ippo", tmp_path, "solo-1", 1, 0)
+        algorithms.run("ippo", tmp_path, "solo-general", 1, 0)

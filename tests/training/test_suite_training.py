@@ -3,27 +3,31 @@
 import numpy as np
 import pytest
 
+from stkzoo.agents.planning.memory import MEMORY_SIZE
+from stkzoo.agents.pretrained.policy import Network
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
-from stkzoo.agents.training.ppo.network import RacingNetwork, racing_weights
+from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.agents.training.ppo.opponents import Matchmaker
-from stkzoo.agents.training.ppo.rollouts import ActorArguments, KartRace, RaceActor
-from stkzoo.agents.training.ppo.run import PPORun, race_figures
+from stkzoo.agents.training.ppo.rollouts import ActorArguments, RaceActor, values_of
+from stkzoo.agents.training.ppo.run import PPORun
 from stkzoo.agents.training.suite.algorithms import TaskArguments, task_setup
-from stkzoo.agents.training.suite.exploit import ExploiterArguments, exploiter_setup
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.suite import find_task
+from stkzoo.wrappers.racing import CONTEST_SIZE, PLACES, SIZE
 
+TRAIN = "suite", "train", "solo-general", "ippo"
 SMALL = {
-    "task": "solo-1",
+    "task": "solo-general",
     "hidden": (16, 16),
     "n_steps": 16,
     "keep_every": 32,
     "n_epochs": 2,
     "batch_size": 32,
     "num_races": 2,
+    "random_starts": 0.0,
     "num_starts": 2,
     "actors": 1,
     "checkpoint_every": 2,
@@ -42,7 +46,9 @@ def actor_of(folder, algorithm, task, steps, **options):
     setup = task_setup(arguments, num_starts=1, **options)
     network = setup.make_network()
     memory = SharedArray((2, steps, setup.groups[0].num_agents), network.shape.rollout_type())
-    own = ActorArguments(setup.groups, network.shape, None, folder, bootstraps_finish=False)
+    own = ActorArguments(
+        setup.groups, network.shape, None, folder, bootstraps_finish=False, hold=setup.hold
+    )
     return RaceActor(own, memory), memory.array()[0], network
 
 
@@ -64,10 +70,9 @@ def arrays_of(learner):
 @pytest.mark.parametrize(
     ("kind", "task", "actors"),
     [
-        ("ippo", "solo-1", 2),
+        ("ippo", "solo-general", 2),
         pytest.param("mappo", "team-2v2", 1, marks=pytest.mark.matrix),
-        pytest.param("fsp", "selfplay-5", 1, marks=pytest.mark.matrix),
-        pytest.param("pfsp", "team-2v2", 1, marks=pytest.mark.matrix),
+        pytest.param("pfsp", "selfplay-5", 1, marks=pytest.mark.matrix),
     ],
 )
 def test_a_run_learns_and_resumes_bit_for_bit(tmp_path, kind, task, actors):
@@ -107,13 +112,20 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
     finally:
         actor.close()
     assert rollout["active"].all()
-    assert (rollout["state"] == rollout["state"][:, :1]).all()
-    assert (rollout["state"][0] != rollout["state"][20]).any()
+    size, own = CONTEST_SIZE + MEMORY_SIZE, PLACES["line_position"].start
+    others, ranks = rollout["state"].reshape(40, 4, 3, own), rollout["inputs"][..., SIZE]
+    for step, slot, mate in ((0, 0, 1), (20, 1, 0), (39, 3, 2)):
+        rivals = sorted({0, 1, 2, 3} - {slot, mate}, key=ranks[step].__getitem__)
+        seen = rollout["inputs"][step, [mate, *rivals], :own]
+        assert (others[step, slot] == seen).all()
+    assert rollout["inputs"].shape[2] == size
+    mates = rollout["inputs"][..., -MEMORY_SIZE - 36 : -MEMORY_SIZE].reshape(40, 4, 4, 9)[..., 8]
+    assert (mates.sum(axis=2) == 1).all()
     assert not rollout["ended"].any()
     assert driven.finishes == []
-    assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 3]).all()
-    assert (rollout["rewards"][:, 1] == rollout["rewards"][:, 2]).all()
-    assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 1]).any()
+    assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 1]).all()
+    assert (rollout["rewards"][:, 2] == rollout["rewards"][:, 3]).all()
+    assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 2]).any()
     columns = network.tensors(rollout[3])
     log_probability, entropy, _, values = network.evaluate(columns)
     told = rollout["log_probability"][3]
@@ -122,32 +134,75 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
     assert (entropy > 0).all()
 
 
+def test_a_kart_that_has_finished_shares_the_later_rewards_of_its_mate(tmp_path):
+    """Kart 0 has finished, so it waits while kart 1 drives on."""
+    actor, _, _ = actor_of(tmp_path, "ippo", "team-2v2", 8)
+    (part,) = actor._parts
+    nobody, first, second = np.zeros(4, np.bool_), *np.eye(4, dtype=np.bool_)[:2]
+    try:
+        part._racing = np.ones(4, np.bool_)
+        assert not part._end_teams(first, nobody).any()
+        assert part._waits.tolist() == [[True, False, False, False]]
+        part._racing = ~first
+        assert not part._end_teams(nobody, nobody).any()
+        assert part._end_teams(second, nobody).tolist() == [True, True, False, False]
+        assert not part._waits.any()
+        part._racing = ~(first | second)
+        assert part._end_teams(nobody, ~(first | second)).tolist() == [False, False, True, True]
+    finally:
+        actor.close()
+
+
+def test_normalizing_returns_keeps_the_values(tmp_path):
+    _, rollout, network = parts = actor_of(tmp_path, "ippo", "solo-general", 4)
+    parts[0].close()
+    rollout["inputs"] = np.random.default_rng(0).normal(size=rollout["inputs"].shape)
+    before = values_of(Network(network.weights()[1]), rollout[0])
+    for returns in ([3.0, 40.0], [-2.0, -2.1]):
+        network.normalize_returns(np.array(returns, np.float32))
+    assert network.returns.tolist() != [0.0, 10.0]
+    after = values_of(Network(network.weights()[1]), rollout[0])
+    np.testing.assert_allclose(after, before, rtol=1e-4, atol=1e-4)
+
+
 @pytest.mark.slow
 def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         "stkzoo.agents.training.suite.algorithms.TaskArguments",
         lambda **given: TaskArguments(**{**SMALL, "checkpoint_every": 100, **given}),
     )
-    words = ["suite", "train", "solo-1", "ippo", "--kart-steps", "100", "--output", str(tmp_path)]
+    words = [
+        "suite",
+        "train",
+        "solo-general",
+        "ippo",
+        "--kart-steps",
+        "100",
+        "--output",
+        str(tmp_path),
+    ]
     assert main(words) == 0
-    assert f"stkzoo suite evaluate solo-1 {tmp_path / 'agent'}" in capsys.readouterr().out
+    assert f"stkzoo suite evaluate solo-general {tmp_path / 'agent'}" in capsys.readouterr().out
     result = run_race([str(tmp_path / "agent")], track="lighthouse", max_steps=20, inline=True)
     assert not result.has_errors
-    assert result.agents[0].driver == "ippo_solo_1_0"
+    assert result.agents[0].driver == "ippo_solo_general_0"
     assert main(words) == 0  # the run is already complete
 
 
 def test_self_play_is_refused_for_one_learner(tmp_path):
-    with pytest.raises(ConfigError, match="solo-1 has one learner, and fsp is self-play"):
-        small_run(tmp_path, "fsp")
+    with pytest.raises(ConfigError, match="solo-general has one learner, and pfsp needs several"):
+        small_run(tmp_path, "pfsp")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["team-2v2", "selfplay-5"])
 def test_a_past_policy_drives_a_team_or_two_karts_and_is_not_learned_from(tmp_path, name):
     task = find_task(name)
-    actor, rollout, network = actor_of(tmp_path, "fsp", name, 400, max_cycles=60)
-    save_weights(tmp_path / "past.safetensors", RacingNetwork((8, 8), 1).policy_weights())
+    actor, rollout, network = actor_of(tmp_path, "pfsp", name, 400, max_cycles=60)
+    save_weights(
+        tmp_path / "past.safetensors",
+        RacingNetwork((8, 8), 1, network.shape.inputs).policy_weights(),
+    )
     actor.begin([5])
     try:
         driven = actor.drive(0, *network.weights(), {"": 0.5, "past": 0.5})
@@ -159,7 +214,7 @@ def test_a_past_policy_drives_a_team_or_two_karts_and_is_not_learned_from(tmp_pa
     counts = {len(slots) for slots in learned}
     assert counts == {task.learners, task.learners - task.learners // 2}
     if task.teams:
-        assert {*learned} - {(0, 1, 2, 3)} <= {(0, 3), (1, 2)}
+        assert {*learned} - {(0, 1, 2, 3)} <= {(0, 1), (2, 3)}
     assert driven.duels
     assert all(who == "past" and 0 <= beaten <= 1 for who, beaten in driven.duels)
     assert len(driven.finishes) < task.learners * (len(races) - 1)
@@ -182,55 +237,21 @@ def test_prioritized_self_play_meets_the_hardest_rivals_most_often():
     assert odds["none"] == {}
 
 
-def exploiter(folder, **changes):
-    small = {
-        **SMALL,
-        "algorithm": "exploit",
-        "task": "solo-general",
-        "driver": "pursuit",
-        "hidden": (8, 8),
-    }
-    arguments = ExploiterArguments(**small | changes)
-    return PPORun(folder, arguments, exploiter_setup(arguments))
-
-
-@pytest.mark.slow
-def test_an_exploiter_starts_from_an_agent_and_drives_one_kart_against_the_frozen_driver(tmp_path):
-    start = RacingNetwork((16, 8), 5).policy_weights()
-    save_weights(tmp_path / "policy.safetensors", start)
-    init = str(tmp_path / "policy.safetensors")
-    learner = exploiter(tmp_path / "run", init=init, hidden=(16, 8))
-    try:
-        own = learner.network.policy_weights()
-        assert all((own[name] == start[name]).all() for name in start)
-        line = learner.iterate()
-    finally:
-        learner.close()
-    races = [KartRace("rivals", 1.0, 1, 0.9), KartRace("rivals", 1.0, 2, 1.0)]
-    figures = race_figures([*races, KartRace("rivals", 1.0, 1, None)])
-    assert line["kart_steps"] == 2 * 16
-    assert figures["won"] == pytest.approx(1 / 3)
-    with pytest.raises(ConfigError, match=r"layers of \(16, 8\) units, expected \(8, 16\)"):
-        racing_weights(init, (8, 16))
-
-
 def test_an_unknown_algorithm_is_refused(capsys):
-    assert main(["suite", "train", "solo-1", "ipo"]) == 2
+    assert main(["suite", "train", "solo-general", "ipo"]) == 2
     assert "unknown algorithm 'ipo'. Did you mean 'ippo'?" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [("train", "solo-1", "ippo"), ("exploit", "heuristic")])
-def test_numbers_out_of_bounds_are_refused(tmp_path, capsys, words):
-    assert main(["suite", *words, "--seed", "1" * 22, "--output", str(tmp_path / "run")]) == 2
+def test_numbers_out_of_bounds_are_refused(tmp_path, capsys):
+    assert main([*TRAIN, "--seed", "1" * 22, "--output", str(tmp_path / "run")]) == 2
     assert "expected a whole number from 0 to" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("words", [("train", "solo-1", "ippo"), ("exploit", "heuristic")])
-def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys, words):
+def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys):
     file = tmp_path / "file"
     file.touch()
-    assert main(["suite", *words, "--output", str(file)]) == 2
+    assert main([*TRAIN, "--output", str(file)]) == 2
     error = capsys.readouterr().err
     assert f"the run's folder {file} cannot be used: " in error
     assert "choose another --output" in error

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
 from stkzoo.agents.pretrained.driver import WEIGHTS
-from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -23,6 +23,10 @@ from stkzoo.wrappers.racing import CHOICES, RESCUE, SIZE
 from ..common.command import training_torch
 from .rollouts import PolicyShape, Weights, critic_inputs, plan_shape, racing_shape
 
+#: Standard deviation of returns, if they are not measured.
+_VALUE_UNIT = 10.0
+#: Weight of a rollout in the mean and the standard deviation of returns.
+_RETURNS_RATE = 0.05
 #: Largest norm of the gradient of policy or value network.
 _MAX_GRADIENT = 0.5
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
@@ -51,6 +55,7 @@ class ActorCritic(ABC):
         kl_coef: see the argument.
         mean: mean of the value network's inputs, by which they are normalized.
         scale: factor by which they are normalized.
+        returns: mean and standard deviation of returns, by which values are normalized.
 
     Raises:
         ConfigError: PyTorch is not installed.
@@ -72,6 +77,7 @@ class ActorCritic(ABC):
         )
         self.value = _make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
+        self.returns = np.array([0.0, _VALUE_UNIT], np.float32)
         self.optimizer = torch.optim.Adam(
             [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
         )
@@ -95,13 +101,23 @@ class ActorCritic(ABC):
         inputs: FloatArray = rows["inputs"].copy()
         return inputs
 
+    def normalize_returns(self, returns: FloatArray) -> None:  # noqa: B027 - for subclasses
+        """Adapts the normalization of values to the returns of a rollout."""
+
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - for subclasses
         """Adapts the networks to rows of the first rollout; returns whether they changed."""
         return False
 
     def weights(self) -> tuple[Weights, Weights]:
-        """Returns the weights of policy and value network for the actors."""
-        return self.policy_weights(), self._arrays(self.value)
+        """Returns the weights of policy and value network for the actors.
+
+        The value network of the actors returns values that are not normalized.
+        """
+        critic, (mean, unit) = self._arrays(self.value), self.returns
+        return self.policy_weights(), critic | {
+            "w2": critic["w2"] * unit,
+            "b2": critic["b2"] * unit + mean,
+        }
 
     def tensors(self, rows: npt.NDArray[np.void]) -> list[Any]:
         """Returns the inputs of :meth:`evaluate` for rows of a rollout, as tensors ``(N, ...)``."""
@@ -119,7 +135,7 @@ class ActorCritic(ABC):
 
         Returns:
             Tensors ``(N,)``: log-probability of the choices, entropy of the policy [nats], its KL
-                divergence from the prior, and the value in units of :data:`.rollouts.VALUE_UNIT`.
+                divergence from the prior, and the normalized value.
         """
         inputs, central, prior, choices = columns
         logits, log_softmax = self.policy(inputs), self.torch.log_softmax
@@ -148,14 +164,15 @@ class ActorCritic(ABC):
     def state(self) -> dict[str, Any]:
         """Returns everything that learning changes as tensors, for :meth:`restore`."""
         parts = {name: getattr(self, name).state_dict() for name in _PARTS}
-        scales = {"mean": self.mean, "scale": self.scale}
+        scales = {"mean": self.mean, "scale": self.scale, "returns": self.returns}
         return parts | {name: self.torch.from_numpy(array) for name, array in scales.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restores a :meth:`state`."""
         for name in _PARTS:
             getattr(self, name).load_state_dict(state[name])
-        self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()
+        for name in ("mean", "scale", "returns"):
+            setattr(self, name, state[name].numpy())
 
     def _normalize(self, rows: FloatArray, first: int) -> None:
         """Fits the normalization of the value network's inputs from a column on to rows."""
@@ -226,31 +243,44 @@ class PlanNetwork(ActorCritic):
 
 
 class RacingNetwork(ActorCritic):
-    """Networks on the view ``racing``; the policy's layers have Stable-Baselines3's names in files.
+    """Networks on the view ``racing`` or ``contest``, with Stable-Baselines3's names in files.
+
+    Values are normalized as in PopArt (van Hasselt et al., 2016).
 
     Args:
         hidden: see :class:`ActorCritic`.
         seed: see :class:`ActorCritic`.
-        state_size: size of the race's state, which the value network sees too; 0 for none.
         inputs: number of the policy's inputs, perhaps with the memory of the action filter.
+        num_mates: number of other learners whose own state the value network sees too.
+        hold: minimum steps of a drift, for files.
     """
 
     activation = "Tanh"
 
     def __init__(
-        self, hidden: Sequence[int], seed: int, state_size: int = 0, inputs: int = SIZE
+        self,
+        hidden: Sequence[int],
+        seed: int,
+        inputs: int = SIZE,
+        num_mates: int = 0,
+        hold: int = 0,
     ) -> None:
-        super().__init__(racing_shape(state_size, inputs), hidden, seed)
+        super().__init__(racing_shape(inputs, num_mates), hidden, seed)
+        self._hold = hold
         with self.torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
 
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """Fits the normalization of the race's state, if the value network sees it."""
-        if not self.shape.state_size:
-            return False
-        self._normalize(seen["state"], self.shape.inputs)
-        return True
+    def normalize_returns(self, returns: FloatArray) -> None:
+        """See :class:`ActorCritic`; the last layer changes so that values stay the same."""
+        mean, unit = self.returns
+        latest = np.array([returns.mean(), max(float(returns.std()), 1e-3)], np.float32)
+        self.returns = self.returns + np.float32(_RETURNS_RATE) * (latest - self.returns)
+        new_mean, new_unit = map(float, self.returns)
+        last = self.value[-1]
+        with self.torch.no_grad():
+            last.weight.mul_(float(unit) / new_unit)
+            last.bias.mul_(float(unit)).add_(float(mean) - new_mean).div_(new_unit)
 
     def start_from(self, weights: Weights) -> None:
         """Copies the policy."""
@@ -258,7 +288,8 @@ class RacingNetwork(ActorCritic):
 
     def policy_weights(self) -> dict[str, FloatArray]:
         """See :class:`ActorCritic`."""
-        return {name: tensor.detach().numpy().copy() for name, tensor in self._named().items()}
+        tensors = {name: tensor.detach().numpy().copy() for name, tensor in self._named().items()}
+        return tensors | {HOLD: np.full(1, self._hold, np.float32)}
 
     def _named(self) -> dict[str, Any]:
         """Returns the policy's tensors by their names in files."""

@@ -20,16 +20,18 @@ from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import Network, log_sum
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.wrappers.racing import CHOICES, SIZE
+from stkzoo.wrappers.racing import CHOICES, PLACES, SIZE
 
 from ..common.actors import SharedArray
+from ..common.filtered import FilteredVectorEnv
 from ..common.matches import ai_time
 from .opponents import Odds, RivalSeats, draw_opponent
 
 Weights = Mapping[str, FloatArray]
+BoolArray = npt.NDArray[np.bool_]
 
-#: Value that corresponds to an output of 1 of the value network.
-VALUE_UNIT = 10.0
+#: Columns of the views ``racing`` and ``contest`` with the kart's own state, and of its rank.
+_OWN, _RANK = slice(0, PLACES["line_position"].start), SIZE
 #: Share of the karts that observe and act with left and right swapped, if policies choose plans.
 _MIRROR_SHARE = 0.5
 
@@ -121,9 +123,15 @@ def plan_shape(columns: Sequence[int]) -> PolicyShape:
     return PolicyShape(INPUT_SIZE, PLAN_CHOICES, tuple(columns), has_prior=True)
 
 
-def racing_shape(state_size: int = 0, inputs: int = SIZE) -> PolicyShape:
-    """Returns what a policy on the view ``racing`` sees and chooses."""
-    return PolicyShape(inputs, CHOICES, tuple(range(len(CHOICES))), state_size=state_size)
+def racing_shape(inputs: int = SIZE, num_mates: int = 0) -> PolicyShape:
+    """Returns what a policy on the view ``racing`` or ``contest`` sees and chooses.
+
+    Args:
+        inputs: number of its inputs.
+        num_mates: number of other learners whose own state the value network sees too.
+    """
+    size = num_mates * _OWN.stop
+    return PolicyShape(inputs, CHOICES, tuple(range(len(CHOICES))), state_size=size)
 
 
 def critic_inputs(rows: npt.NDArray[np.void]) -> FloatArray:
@@ -133,8 +141,7 @@ def critic_inputs(rows: npt.NDArray[np.void]) -> FloatArray:
 
 def values_of(critic: Network, rows: npt.NDArray[np.void]) -> FloatArray:
     """Returns the values of rows of a rollout."""
-    values: FloatArray = critic(critic_inputs(rows))[:, 0] * np.float32(VALUE_UNIT)
-    return values
+    return critic(critic_inputs(rows))[:, 0]
 
 
 def policy_logits(weights: Weights) -> Callable[[npt.NDArray[np.void]], FloatArray]:
@@ -205,11 +212,13 @@ class RolloutResult:
         finishes: the races of learners that ended.
         duels: name of the opponent and fraction of the duels that the learner won, for each race
             with an opponent that ended.
+        kart_steps: number of steps that the learner and its opponents have driven.
     """
 
     last_values: FloatArray
     finishes: list[KartRace] = field(default_factory=list)
     duels: list[tuple[str, float]] = field(default_factory=list)
+    kart_steps: int = 0
 
 
 # ---------------------------------------------------------------------- actors
@@ -225,6 +234,7 @@ class ActorArguments:
         plans: parameters of the plans among which the policy chooses; ``None`` without plans.
         past: folder of the past selves.
         bootstraps_finish: whether returns go on after the finish.
+        hold: minimum steps of a drift without plans; ``None`` without an action filter.
     """
 
     groups: tuple[ActorRaces, ...]
@@ -232,6 +242,7 @@ class ActorArguments:
     plans: DriverParameters | None
     past: Path
     bootstraps_finish: bool
+    hold: int | None = None
 
     @property
     def num_slots(self) -> int:
@@ -283,6 +294,7 @@ class RaceActor:
             np.concatenate([part.last_values for part in results]),
             [finish for part in results for finish in part.finishes],
             [duel for part in results for duel in part.duels],
+            sum(part.kart_steps for part in results),
         )
 
     def close(self) -> None:
@@ -308,7 +320,9 @@ class GroupActor:
     def __init__(self, group: ActorRaces, arguments: ActorArguments, slots: slice) -> None:
         self.slots, self._group, self._arguments = slots, group, arguments
         if arguments.plans is None:
-            self.envs: Any = RaceVectorEnv(group.num_races, **group.options)
+            races = RaceVectorEnv(group.num_races, **group.options)
+            hold = arguments.hold
+            self.envs: Any = races if hold is None else FilteredVectorEnv(races, hold)
         else:
             self.envs = PlanVectorEnv(
                 group.num_races,
@@ -319,6 +333,8 @@ class GroupActor:
         self._inner: RaceVectorEnv = self.envs.unwrapped
         self.seats = RivalSeats(group.num_races, group.num_agents, group.teams)
         self._shares = _reward_shares(group)
+        self._is_mate = self._shares > 0
+        self._waits = np.zeros((group.num_races, group.num_agents), np.bool_)
         self._past: dict[str, Callable[[npt.NDArray[np.void]], FloatArray]] = {}
 
     def begin(self, seed: Sequence[int]) -> None:
@@ -328,7 +344,8 @@ class GroupActor:
         seeds = self._random.integers(2**31, size=count).tolist()
         self._observations, _ = self.envs.reset(seed=seeds)
         self._chance = np.random.default_rng([*seed, 1])
-        self._returns = np.zeros(self._inner.num_envs)
+        self._returns, self._kart_steps = np.zeros(self._inner.num_envs), 0
+        self._waits[:] = False
         self._ai_times = [0.0] * count
         self._are_new, self._ended = True, RolloutResult(np.zeros(0, np.float32))
 
@@ -358,11 +375,14 @@ class GroupActor:
         self._observations, rewards, finished, cut, infos = self.envs.step_wait()
         is_own = self.seats.is_own.reshape(-1)
         by_race = rewards.reshape(self._group.num_races, -1)
-        step["active"] = self._racing & is_own
-        step["driven"] = step["active"] & infos.get("applies", True)
+        waits = self._waits.reshape(-1)
+        step["active"] = (self._racing | waits) & is_own
+        step["driven"] = self._racing & is_own & infos.get("applies", True)
         step["rewards"] = np.where(step["active"], (by_race @ self._shares).reshape(-1), 0.0)
-        step["ended"], step["next_values"] = finished | cut, 0.0
+        step["next_values"], step["values"][waits] = 0.0, 0.0
+        step["ended"] = self._end_teams(finished, cut)
         self._returns += step["rewards"]
+        self._kart_steps += int(self._racing.sum())
         goes_on = cut | (finished & self._arguments.bootstraps_finish)
         if goes_on.any():
             rows = np.flatnonzero(goes_on)
@@ -372,12 +392,26 @@ class GroupActor:
         for slot in np.flatnonzero(finished | cut).tolist():
             self._end(slot, infos["final_info"], is_finished=bool(finished[slot]))
 
+    def _end_teams(self, finished: BoolArray, cut: BoolArray) -> BoolArray:
+        """Returns the slots that earn no reward after this step.
+
+        A kart that has finished waits for its mates, whose rewards it shares.
+        """
+        ended = (finished | cut).reshape(self._waits.shape)
+        stops = self._racing.reshape(ended.shape) & ~ended  # drive on
+        drives_on = (stops.astype(int) @ self._is_mate) > 0
+        waited = self._waits | finished.reshape(ended.shape)
+        self._waits = waited & drives_on
+        return ((waited | ended) & ~self._waits).reshape(-1)
+
     def result(self, values: Network) -> RolloutResult:
         """Returns the other results of the rollout."""
         latest = np.zeros(self._inner.num_envs, self._arguments.shape.rollout_type())
         self._see(latest, self._observations)
         ended, self._ended = self._ended, RolloutResult(np.zeros(0, np.float32))
-        return replace(ended, last_values=values_of(values, latest))
+        kart_steps, self._kart_steps = self._kart_steps, 0
+        last_values = np.where(self._waits.reshape(-1), 0, values_of(values, latest))
+        return replace(ended, last_values=last_values, kart_steps=kart_steps)
 
     def _see(self, rows: npt.NDArray[np.void], observations: Any) -> None:
         """Writes observations of all slots into rows of a rollout."""
@@ -386,8 +420,17 @@ class GroupActor:
         else:
             rows["inputs"] = observations
         if self._arguments.shape.state_size:
-            states = np.stack([race.state() for race in self._inner.races])
-            rows["state"] = np.repeat(states, self._group.num_agents, axis=0)
+            rows["state"] = self._others(rows["inputs"])
+
+    def _others(self, inputs: FloatArray) -> FloatArray:
+        """Returns the own state of the other learners of each race: mates first, then by rank."""
+        count = self._group.num_agents
+        by_race = inputs.reshape(-1, count, inputs.shape[1])
+        order = by_race[:, None, :, _RANK] + 10.0 * ~self._is_mate + 100.0 * np.eye(count)
+        others = order.argsort(axis=2)[:, :, :-1]  # the last one is the kart itself
+        return by_race[np.arange(len(by_race))[:, None, None], others, _OWN].reshape(
+            len(inputs), -1
+        )
 
     def _see_last(self, rows: npt.NDArray[np.void], observations: Sequence[Any]) -> None:
         """Writes the last observations of some slots into rows of a rollout."""
@@ -397,6 +440,7 @@ class GroupActor:
     def _begin_race(self, race: int) -> None:
         """Draws the drivers of a race that begins."""
         self.seats.seat(race, draw_opponent(self._odds, self._chance), self._chance)
+        self._returns.reshape(self._waits.shape)[race] = 0.0
         facts = self._inner.races[race].race
         assert facts is not None  # noqa: S101 - after a reset
         self._ai_times[race] = ai_time(facts.track, facts.reverse, facts.difficulty)
@@ -410,7 +454,6 @@ class GroupActor:
             ratio = time / self._ai_times[race] if is_finished else None
             reward = float(self._returns[slot])
             self._ended.finishes.append(KartRace(self._group.company, reward, position, ratio))
-        self._returns[slot] = 0.0
         if self.seats.end(slot, position):
             beaten = self.seats.beaten(race)
             if beaten is not None:

@@ -57,6 +57,7 @@ class PPOSetup:
         read_first: returns the policy to start from; ``None`` starts from new networks.
         plans: parameters of the plans among which the policy chooses; ``None`` without plans.
         bootstraps_finish: whether returns go on after the finish.
+        hold: minimum steps of a drift without plans; ``None`` without an action filter.
         matchmaker: determines the opponents.
         past: folder of the past selves; ``None`` for the run's own folder.
     """
@@ -66,6 +67,7 @@ class PPOSetup:
     read_first: Callable[[], Weights] | None = None
     plans: DriverParameters | None = None
     bootstraps_finish: bool = False
+    hold: int | None = None
     matchmaker: Matchmaker = field(default_factory=Matchmaker)
     past: Path | None = None
 
@@ -165,7 +167,7 @@ class PPORun:
         for result in driven:
             self.recent.extend(result.finishes)
         self.iteration += 1
-        steps = int(sum(rollout["active"].sum() for rollout in rollouts))
+        steps = sum(result.kart_steps for result in driven)
         self.kart_steps += steps
         end = time.perf_counter()
         line = {
@@ -254,6 +256,7 @@ class PPORun:
                 plans=setup.plans,
                 past=setup.past or self.folder,
                 bootstraps_finish=setup.bootstraps_finish,
+                hold=setup.hold,
             )
             for groups in dealt(setup.groups, min(arguments.actors or cpu_count(), races))
         ]

@@ -76,6 +76,7 @@ class SelfPlayArguments(RolloutArguments):
     """
 
     hidden: tuple[int, int] = (256, 128)
+    n_epochs: int = 2
     gae_lambda: Share = 0.85
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")

@@ -12,7 +12,6 @@ from stkzoo.agents.planning import FloatArray
 
 from ..common.arguments import RolloutArguments
 from .network import ActorCritic
-from .rollouts import VALUE_UNIT
 
 #: Ratio of the learning rates of value and policy.
 _VALUE_RATE = 4.0
@@ -86,11 +85,13 @@ def update(
     seen = np.concatenate([rollout[used] for rollout, used in zip(rollouts, rows, strict=True)])
     advantages = np.concatenate([values[used] for values, used in zip(gained, rows, strict=True)])
     returns = advantages + seen["values"]
+    network.normalize_returns(returns)
+    mean, unit = network.returns
     from_numpy = network.torch.from_numpy
     data = [
         from_numpy(seen["log_probability"].copy()),
         from_numpy((advantages - advantages.mean()) / (advantages.std() + 1e-6)),
-        from_numpy(returns / VALUE_UNIT),
+        from_numpy((returns - mean) / unit),
         *network.tensors(seen),
     ]
     figures: dict[str, list[float]] = {}

@@ -5,11 +5,14 @@ stkzoo suite train versus ippo
 - ``ippo``, independent PPO (de Witt et al., 2020): all learners share one policy, which learns from
   each kart's own reward. Policy and value network see the view of one kart; other learners are part
   of its environment.
-- ``mappo``, multi-agent PPO (Yu et al., 2022): the value network also sees the state of the race
-  (``env.state()``), normalized by that of the first rollout. The trained agent does not need it.
-- ``fsp`` and ``pfsp``, fictitious and prioritized self-play: in half of the races, one of 40 past
-  policies drives one of the teams or half of the karts
-  (:mod:`stkzoo.agents.training.ppo.opponents`).
+- ``mappo``, multi-agent PPO (Yu et al., 2022): the value network also sees the own state of all
+  other learners, mates first, then by rank. The trained agent does not need it.
+- ``pfsp``, prioritized fictitious self-play: in half of the races, one of 40 past policies drives
+  one of the teams or half of the karts (:mod:`stkzoo.agents.training.ppo.opponents`). Its
+  kart-steps count too.
+
+All act through the action filter (:mod:`stkzoo.agents.pretrained.action_filter`): drifts last, and
+stuck karts free themselves. The policy observes the filter's memory.
 
 The folder of a run contains `checkpoint.pt`, `log.jsonl` (one line per iteration), TensorBoard
 files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent, and
@@ -28,16 +31,18 @@ from typing import Any
 
 from stkzoo._checks import check_whole
 from stkzoo._os import cpu_count
-from stkzoo._schema import Whole
+from stkzoo._schema import Share, Whole
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.errors import ConfigError
 from stkzoo.race.result import versions_now
 from stkzoo.suite import Task, can_learn, find_task
+from stkzoo.wrappers.racing import CONTEST_SIZE
 
 from ..common.arguments import BatchSize, Coefficient, Natural, RolloutArguments
 from ..common.run_folder import write_json
 from ..export import export_policy
 from ..ppo.network import RacingNetwork
-from ..ppo.opponents import FICTITIOUS, NOBODY, PRIORITIZED, Matchmaker
+from ..ppo.opponents import NOBODY, PRIORITIZED, Matchmaker
 from ..ppo.rollouts import ActorRaces
 from ..ppo.run import PPORun, PPOSetup
 
@@ -46,11 +51,10 @@ MACHINE = "machine.json"
 #: Number of past policies that a run keeps.
 _POOL_SIZE = 40
 _LEARNERS = 64
-#: Opponents of each algorithm, and whether its value network sees the state of the race.
+#: Opponents of each algorithm, and whether its value network sees the other learners.
 _ALGORITHMS = {
     "ippo": (NOBODY, False),
     "mappo": (NOBODY, True),
-    "fsp": (FICTITIOUS, False),
     "pfsp": (PRIORITIZED, False),
 }
 #: Figures of the log to show.
@@ -66,19 +70,24 @@ class TaskArguments(RolloutArguments):
         task: name of the task.
         num_races: number of parallel races; 0 for as many as give 64 learners.
         num_starts: number of different starts in each process between two checkpoints.
+        hold: minimum steps of a drift.
+        random_starts: share of the races that start anywhere on the track.
     """
 
     learning_rate: float = 5e-4
-    batch_size: BatchSize = 2048
+    batch_size: BatchSize = 512
     n_epochs: int = 4
-    ent_coef: Coefficient = 0.01
+    gamma: Share = 0.995
+    ent_coef: Coefficient = 0.003
     target_kl: float = 0.03
     warm_up: Natural = 0
     checkpoint_every: int = 40
     algorithm: str = "ippo"
-    task: str = "solo-1"
+    task: str = "solo-general"
     num_races: Natural = 0
-    num_starts: int = 40
+    num_starts: int = 20
+    hold: Natural = 11
+    random_starts: Share = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,15 +119,37 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
         ConfigError: the algorithm cannot learn the task.
     """
     task, name = find_task(arguments.task), arguments.algorithm
-    opponents, sees_state = _ALGORITHMS.get(name, (NOBODY, False))
+    opponents, sees_others = _ALGORITHMS.get(name, (NOBODY, False))
     _check_task(task, name)
     races = arguments.num_races or max(_LEARNERS // task.learners, 1)
-    race_options = {"num_starts": arguments.num_starts, **task.options(), **options}
-    group = ActorRaces(races, race_options, has_rivals=opponents != NOBODY, teams=task.teams)
-    state_size = task.state_size if sees_state else 0
+    places = task.places()
+    shares = {None: 1 - arguments.random_starts, "random": arguments.random_starts}
+    groups = [
+        ActorRaces(
+            max(round(races * share / len(places)), 1),
+            {
+                "num_starts": arguments.num_starts,
+                **task.options(),
+                "agents": agents,
+                "start": start,
+                **options,
+            },
+            has_rivals=opponents != NOBODY,
+            teams=task.teams,
+        )
+        for start, share in shares.items()
+        for agents in places
+        if share
+    ]
+    num_mates = task.learners - 1 if sees_others else 0
+    inputs = CONTEST_SIZE + MEMORY_SIZE
+    network = partial(
+        RacingNetwork, arguments.hidden, arguments.seed, inputs, num_mates, arguments.hold
+    )
     return PPOSetup(
-        groups=(group,),
-        make_network=partial(RacingNetwork, arguments.hidden, arguments.seed, state_size),
+        groups=tuple(groups),
+        make_network=network,
+        hold=arguments.hold,
         matchmaker=Matchmaker(opponents, _POOL_SIZE),
     )
 
@@ -126,7 +157,7 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
 def _check_task(task: Task, algorithm: str) -> None:
     if algorithm in _ALGORITHMS and not can_learn(algorithm, task):
         raise ConfigError(
-            f"{task.name} has one learner, and {algorithm} is self-play; use ippo, which is the "
+            f"{task.name} has one learner, and {algorithm} needs several; use ippo, which is the "
             "same for one learner"
         )
 
@@ -176,4 +207,4 @@ def finish_run(learner: PPORun, kart_steps: int, name: str) -> Path:
     if not is_trained:
         write_json(learner.folder / MACHINE, asdict(TrainingMachine.now()))
     plain = "".join(sign if sign.isalnum() else "_" for sign in name.lower())
-    return export_policy(policy, plain, learner.folder / "agent")
+    return export_policy(policy, plain, learner.folder / "agent", samples=True)
