@@ -140,8 +140,9 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
         if plan.has_action or not is_seen or "" in plan.leaves:
             return False
         if self.flatten_observations:
-            seen = self.observation_flattener
-            plan.names, plan.is_flat = (*seen.continuous_keys, *seen.discrete_keys), True
+            flattener = self.observation_flattener
+            plan.parts = dict.fromkeys(flattener.continuous_keys, "continuous")
+            plan.parts |= dict.fromkeys(flattener.discrete_keys, "discrete")
         leaves = {
             name: tuple(entry for key in parts for entry in plan.leaves[key])
             for name, parts in self.action_flattener.parts.items()
@@ -209,9 +210,14 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
-        if not plan.is_flat or plan.joined:
+        if not plan.is_flat or "observation" in plan.parts.values():
             return False
-        plan.joined = self._sizes
+        sizes = iter(self._sizes)
+        for name, part in plan.parts.items():
+            if part == "discrete":
+                count = plan.sizes["items"] if name == "items_type" else 1
+                plan.ones[name], *_ = (next(sizes) for _ in range(count))
+            plan.parts[name] = part if part == "action_mask" else "observation"
         return True
 
     def observation(self, observation: Any) -> Any:

@@ -88,7 +88,7 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         if plan.sizes or plan.is_flat or plan.observer:
             return False
         plan.sizes = dict(self._sizes)
-        plan.names = tuple(self._space.spaces)
+        plan.parts = {name: name for name in self._space.spaces}
         return True
 
     def _constant_space(self, space: spaces.Dict) -> spaces.Dict:

@@ -85,16 +85,13 @@ class KartObserver:
     """Makes the observations of one view.
 
     Args:
-        names: entries of the observation, in order.
+        entries: name of each entry of the observation, in order; name of the array that has it in a
+            batch, alone or with others as a vector; and length of its one-hot encoding, or 0.
         items: number of items in the observation; -1 for all items of the race.
         karts: number of other karts in the observation; -1 for all.
         paths: number of track segments in the observation; -1 for all visible ones.
         polar: whether positions are two angles and a distance.
-        flat: whether all numbers form one vector and all choices another one.
-        joined: number of values of each choice. If given, the choices are one-hot encoded and
-            appended to the vector of numbers.
-        uses: ``(2, n)``, which actions press nitro, and which fire. If given, observations have a
-            mask of the actions that have an effect.
+        uses: ``(2, n)``, which actions press nitro, and which fire, for the entry ``action_mask``.
 
     Raises:
         ValueError: the arguments do not fit together.
@@ -102,13 +99,11 @@ class KartObserver:
 
     def __new__(
         cls,
-        names: tuple[str, ...],
+        entries: tuple[tuple[str, str, int], ...],
         items: int = -1,
         karts: int = -1,
         paths: int = -1,
         polar: bool = False,
-        flat: bool = False,
-        joined: npt.NDArray[np.intp] | None = None,
         uses: npt.NDArray[np.bool_] | None = None,
     ) -> KartObserver: ...
     def observe(

@@ -1,8 +1,8 @@
 /* Converts a snapshot's records to agents' observations in one pass.
 
    KEYS lists the entries of the `full` view. The options of KartObserver replace the wrappers
-   ConstantSizedObservations (items, karts, paths), PolarObservations (polar), FlattenerWrapper
-   (flat), JoinedObservations (joined) and ActionMasks (uses) of stkzoo.wrappers, which
+   ConstantSizedObservations (items, karts, paths), PolarObservations (polar), FlattenerWrapper and
+   JoinedObservations (the parts of the entries) and ActionMasks (uses) of stkzoo.wrappers, which
    change observations of any environment. */
 
 #include "geometry.h"
@@ -88,7 +88,7 @@ typedef struct {
     PyObject *name;
     int part;        /* of the batch that has the entry */
     npy_intp offset; /* of the entry in a row of that part [elements] */
-    npy_intp values; /* one-hot length of a choice; 0 if it is written as a number */
+    int values;      /* one-hot length of a choice; 0 if it is written as a number */
     /* Tuples of rows that earlier calls returned, for lists of varying length; the oldest is at
        `next`. A tuple is reused if neither it nor its rows are referenced elsewhere, which costs a
        tenth of creating a new one. */
@@ -96,14 +96,12 @@ typedef struct {
     Py_ssize_t next;
 } Entry;
 
-/* An array of a batch, or a list of names. In a flat view, these are vectors of several entries. */
+/* An array of a batch, which is one entry or a vector of several, or a list of names. */
 typedef struct {
-    PyObject *name; /* NULL if the batch is this array */
+    PyObject *name; /* its key, unless the batch is no dict but the part itself */
     int kind;
-    npy_intp width; /* number of elements in a row; 0 for an unused part of a flat view */
+    npy_intp width; /* number of elements in a row */
 } Part;
-
-enum { NUMBERS, CHOICES, ACTION_MASK }; /* parts of a flat view */
 
 typedef struct {
     OBJECT_HEAD
@@ -111,9 +109,8 @@ typedef struct {
     Part parts[NUM_KEYS];
     int num_entries, num_parts;
     int sizes[NUM_GROUPS]; /* rows of each group; -1 for a variable number */
-    int is_polar, is_flat;
+    int is_polar;
     int needs[NUM_GROUPS]; /* whether there are entries of each group */
-    Indices joined;        /* one-hot length of each choice; empty if not joined */
     Flags uses;            /* (2, n): whether an action needs nitro, and a powerup; empty: no mask */
 } KartObserver;
 
@@ -432,6 +429,12 @@ static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
     for (npy_intp i = 0; i < rows; i++) out[i] = i < real;
 }
 
+/* Returns a part of a batch, a borrowed reference; NULL if the batch lacks it. */
+static PyObject *part_of(PyObject *batch, const Part *part)
+{
+    return PyDict_Check(batch) ? PyDict_GetItemWithError(batch, part->name) : batch;
+}
+
 /* Where values are written: the address in the first row, and the size of a row and of an element
    [bytes]. */
 typedef struct {
@@ -449,13 +452,13 @@ static int find_column(const Part *part, PyObject *batch, Indices rows, Column *
         [MASK] = {as_written_bytes, sizeof(npy_int8)},
     };
     struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
-    PyObject *array = part->name ? PyDict_GetItemWithError(batch, part->name) : batch;
+    PyObject *array = part_of(batch, part);
     if (!array) PyErr_Format(PyExc_ValueError, "the batch has no %U", part->name);
     if (!array || !TYPES[part->kind].converter(array, &numbers)) return -1;
     const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
     const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
     if (numbers.size != count * part->width) {
-        PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %V", part->name, "numbers");
+        PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %U", part->name);
         return -1;
     }
     if (!are_below(rows, count)) {
@@ -492,7 +495,7 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
     for (const Part *part = observer->parts; !status && part < observer->parts + observer->num_parts;
          part++) {
         if (part->kind != NAME) continue;
-        PyObject *list = Py_XNewRef(PyDict_GetItemWithError(batch, part->name));
+        PyObject *list = Py_XNewRef(part_of(batch, part));
         if (!list || !PyList_Check(list)) status = refuse("the names of a batch must be a list");
         for (npy_intp n = 0; !status && n < who.size; n++) {
             PyObject *name = Py_XNewRef(PyTuple_GetItem(scene->kart_types, who.data[n]));
@@ -508,12 +511,9 @@ static int write_rows(const KartObserver *observer, Scene *scene, Indices who, I
                       PyObject *batch)
 {
     Column columns[NUM_KEYS] = {{0}};
-    if (observer->parts->name && !PyDict_Check(batch)) {
-        return refuse("a batch of this view must be a dict of arrays");
-    }
     for (int n = 0; n < observer->num_parts; n++) {
         const Part *part = observer->parts + n;
-        if (part->width && part->kind != NAME && find_column(part, batch, rows, columns + n) < 0) {
+        if (part->kind != NAME && find_column(part, batch, rows, columns + n) < 0) {
             return -1;
         }
     }
@@ -620,97 +620,63 @@ static PyObject *observer_observe_into(PyObject *self, PyObject *args)
     return status < 0 ? NULL : Py_NewRef(Py_None);
 }
 
-/* Sets the one-hot length of an entry from those of its choices, which begin at `first`. */
-static int join(const KartObserver *observer, Entry *entry, npy_intp first, npy_intp count)
+/* Adds an entry from a tuple: its name; the name of its part of the batch; and its one-hot length, or
+   0. */
+static int add_entry(KartObserver *observer, PyObject *spec)
 {
-    const npy_intp *values = observer->joined.data + first;
-    if (count > observer->joined.size - first) return refuse("joined has too few choices");
-    entry->values = count ? *values : 1;
-    for (npy_intp i = 0; i < count; i++) {
-        if (values[i] != *values || values[i] < 1 || values[i] > NPY_MAX_INT32) {
-            return refuse("the choices of an entry must have equal numbers of values, at least 1");
-        }
-    }
-    return 0;
-}
-
-static int add_entry(KartObserver *observer, PyObject *name, npy_intp *num_choices)
-{
+    PyObject *name, *part_name;
     const Key *key = KEYS;
-    if (!PyUnicode_Check(name)) return refuse("the name of an entry must be text");
+    Part *part = observer->parts;
+    int values;
+    if (!is_tuple(spec) || !PyArg_ParseTuple(spec, "UUi", &name, &part_name, &values)) return -1;
     while (key < KEYS + NUM_KEYS && PyUnicode_CompareWithASCIIString(name, key->name)) key++;
     if (key == KEYS + NUM_KEYS) {
         PyErr_Format(PyExc_ValueError, "there is no entry named %S", name);
         return -1;
     }
-    const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
-    const int is_flat = observer->is_flat, is_choice = key->kind == CHOICE;
-    if (is_flat && key->kind == NAME) return refuse("a flat view has no names");
-    if (is_flat && rows < 0) return refuse("the lists of a flat view need fixed sizes");
+    if (values < 0 || (values && key->kind != CHOICE)) return refuse("only choices have values");
     if (observer->num_entries == NUM_KEYS) return refuse("too many entries");
+    const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
+    const int kind = values ? NUMBER : key->kind;
+    while (part < observer->parts + observer->num_parts && PyUnicode_Compare(part->name, part_name)) {
+        part++;
+    }
+    if (part == observer->parts + observer->num_parts) {
+        *part = (Part){part_name, kind, 0};
+        observer->num_parts++;
+    } else if (rows < 0 || part->width < 0 || kind == NAME ||
+               (part->kind != kind && (part->kind != NUMBER || kind != MASK))) {
+        return refuse("an entry does not fit into its part");
+    }
     PyObject *pool = keep(observer, PyList_New(0));
     if (!pool) return -1;
-    const int number = observer->num_entries++;
-    Entry *entry = observer->entries + number;
-    *entry = (Entry){.key = key, .name = name, .pool = pool, .part = number};
-    if (is_flat) {
-        const int is_number = !is_choice || observer->joined.data;
-        entry->part = key->group == ACTIONS ? ACTION_MASK : is_number ? NUMBERS : CHOICES;
-        if (is_choice && is_number && join(observer, entry, *num_choices, rows) < 0) return -1;
-        if (is_choice) *num_choices += rows;
-    } else {
-        observer->parts[observer->num_parts++] = (Part){name, key->kind, 0};
-    }
-    Part *part = observer->parts + entry->part;
-    entry->offset = part->width;
-    part->width += rows * (entry->values ? entry->values : key->width);
+    observer->entries[observer->num_entries++] = (Entry){
+        .key = key, .name = name, .part = (int)(part - observer->parts), .offset = part->width,
+        .values = values, .pool = pool,
+    };
+    part->width += rows * (values ? values : key->width);
     observer->needs[key->group] = 1;
     return 0;
 }
 
-/* Sets the parts of a flat view, and adds the entry of the action mask if there is one. */
-static int add_parts(KartObserver *observer)
-{
-    const int is_joined = observer->joined.data != NULL, has_mask = observer->uses.data != NULL;
-    PyObject *texts = keep(observer, Py_BuildValue("[sss]", is_joined ? "observation" : "continuous",
-                                                   "discrete", "action_mask"));
-    if (!texts) return -1;
-    const int kinds[] = {NUMBER, CHOICE, MASK};
-    for (int part = NUMBERS; part <= ACTION_MASK; part++) {
-        observer->parts[part] = (Part){PyList_GET_ITEM(texts, part), kinds[part], 0};
-    }
-    if (is_joined && !has_mask) observer->parts[NUMBERS].name = NULL;
-    observer->num_parts = ACTION_MASK + 1;
-    return has_mask ? add_entry(observer, observer->parts[ACTION_MASK].name, NULL) : 0;
-}
-
 static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwargs)
 {
-    static char *words[] = {"names", "items", "karts", "paths", "polar", "flat", "joined", "uses",
-                            NULL};
-    PyObject *names, *joined = Py_None, *uses = Py_None;
+    static char *words[] = {"entries", "items", "karts", "paths", "polar", "uses", NULL};
+    PyObject *entries, *uses = Py_None;
     int *sizes = observer->sizes;
     for (int group = 0; group < NUM_GROUPS; group++) sizes[group] = -1;
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiippOO", words, &PyTuple_Type, &names,
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!|iiipO", words, &PyTuple_Type, &entries,
                                      sizes + ITEMS, sizes + KARTS, sizes + PATHS,
-                                     &observer->is_polar, &observer->is_flat, &joined, &uses) ||
-        (joined != Py_None && !as_indices(joined, &observer->joined)) ||
+                                     &observer->is_polar, &uses) ||
         (uses != Py_None && !as_flags(uses, &observer->uses))) {
         return -1;
     }
-    if (!observer->is_flat && (joined != Py_None || uses != Py_None)) {
-        return refuse("only a flat view can be joined or have a mask of actions");
-    }
     if (observer->uses.size > NPY_MAX_INT32) return refuse("there are too many actions");
     if (uses != Py_None) sizes[ACTIONS] = (int)(observer->uses.size / 2);
-    if (observer->is_flat && add_parts(observer) < 0) return -1;
-    npy_intp num_choices = 0;
-    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(names); i++) {
-        if (add_entry(observer, PyTuple_GET_ITEM(names, i), &num_choices) < 0) return -1;
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(entries); i++) {
+        if (add_entry(observer, PyTuple_GET_ITEM(entries, i)) < 0) return -1;
     }
-    return joined == Py_None || num_choices == observer->joined.size
-               ? 0
-               : refuse("joined must have one count for each choice");
+    return 0;
 }
 
 KERNEL_TYPE(KartObserver, observer, "Makes the observations of one view.",

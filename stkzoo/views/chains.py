@@ -43,7 +43,7 @@ class RecordsObserver:
     """
 
     def __init__(self, plan: ViewPlan) -> None:
-        self._kernel, self._names = plan.new_observer(), plan.names
+        self._kernel, self._names = plan.new_observer(), tuple(plan.parts)
         self._extras = tuple(filter(is_extra, self._names))
 
     def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:

@@ -108,11 +108,11 @@ class ViewPlan:
     """What the kernel does for the compiled wrappers of one agent.
 
     Attributes:
-        names: entries of the observation; if flat, continuous entries precede discrete ones.
+        parts: entries of the observation; for each the array that has it, alone or with others as a
+            vector.
+        ones: length of the one-hot encoding of each choice that has one.
         sizes: fixed lengths of the lists ``items``, ``karts`` and ``paths``, if they have one.
         is_polar: whether positions are two angles and a distance.
-        is_flat: whether the observation is two vectors.
-        joined: number of values of each discrete entry, if both vectors are joined into one.
         uses: ``(2, n)`` bool, which actions press nitro, and which fire, if there is an action
             mask.
         observer: custom observer, if there is one.
@@ -126,10 +126,10 @@ class ViewPlan:
     """
 
     def __init__(self, observation_space: spaces.Dict) -> None:
-        self.names = tuple(observation_space.spaces)
+        self.parts = {name: name for name in observation_space.spaces}
+        self.ones: dict[str, int] = {}
         self.sizes: dict[str, int] = {}
-        self.is_polar = self.is_flat = False
-        self.joined: tuple[int, ...] | None = None
+        self.is_polar = False
         self.uses: npt.NDArray[np.bool_] | None = None
         self.observer: RowObserver | None = None
         actions = kart_action_space()
@@ -139,6 +139,11 @@ class ViewPlan:
         self.car: ControlWrapper | None = None
         self.has_action = "action" in observation_space.spaces
         self.extras = extras_of(observation_space) - {"motion"}
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether entries are joined into vectors."""
+        return [*self.parts] != [*self.parts.values()]
 
     def is_full(self, extras: Collection[str] = ()) -> bool:
         """Returns whether observations are those of the ``full`` view with these extras only."""
@@ -173,11 +178,11 @@ class ViewPlan:
 
     def identity(self) -> Hashable:
         """Key that is equal for equivalent plans."""
+        seen: list[Any] = [tuple(e.items()) for e in (self.parts, self.ones, self.sizes)]
         mask = None if self.uses is None else self.uses.tobytes()
-        seen = self.names, tuple(sorted(self.sizes.items())), self.is_polar, self.is_flat
         leaves = tuple((key, tuple(map(_hashable, leaf))) for key, leaf in self.leaves.items())
         car = None if self.car is None else self.car.identity()
-        return (*seen, self.joined, mask, type(self.observer), leaves, self.extras, car)
+        return (*seen, self.is_polar, mask, type(self.observer), leaves, self.extras, car)
 
     def new_reader(self) -> ActionReader:
         """Returns the object that converts actions to controls."""
@@ -190,12 +195,11 @@ class ViewPlan:
 
     def new_observer(self) -> KartObserver:
         """Returns the object that makes observations from the game's records only."""
+        parts = [(name, part) for name, part in self.parts.items() if not is_extra(name)]
         return KartObserver(
-            tuple(name for name in self.names if not is_extra(name)),
+            tuple((name, part, self.ones.get(name, 0)) for name, part in parts),
             **self.sizes,
             polar=self.is_polar,
-            flat=self.is_flat,
-            joined=None if self.joined is None else np.array(self.joined, np.intp),
             uses=self.uses,
         )
 

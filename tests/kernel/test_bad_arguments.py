@@ -160,7 +160,8 @@ def batch_of(**changes):
 
 
 def observe_into(batch, *, paths=1, data=KARTS, who=TWO, rows=np.array([3, 1])):  # noqa: B008
-    observer = kernel.KartObserver(("kart_type", "energy", "items_type", "items_mask"), items=3)
+    names = "kart_type", "energy", "items_type", "items_mask"
+    observer = kernel.KartObserver(tuple((name, name, 0) for name in names), items=3)
     observer.observe_into(track_of([0]), paths, ("tux", "gnu"), data, who, rows, batch)
 
 

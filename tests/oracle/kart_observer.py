@@ -21,18 +21,15 @@ _POLAR = ("center_path", "items_position", "karts_position", "paths_start", "pat
 class KartObserver:
     def __init__(
         self,
-        names: tuple[str, ...],
+        entries: tuple[tuple[str, str, int], ...],
         items: int = -1,
         karts: int = -1,
         paths: int = -1,
         polar: bool = False,
-        flat: bool = False,
-        joined: IntArray | None = None,
         uses: BoolArray | None = None,
     ) -> None:
-        self._names, self._is_polar, self._is_flat = names, polar, flat
+        self._entries, self._is_polar, self._uses = entries, polar, uses
         self._sizes = {"items": items, "karts": karts, "paths": paths}
-        self._joined, self._uses = joined, uses
 
     def observe(
         self,
@@ -56,8 +53,8 @@ class KartObserver:
         batch: Any,
     ) -> None:
         made = self._batch(track, num_paths, kart_types, data, who)
-        if not isinstance(made, dict):
-            batch[rows] = made
+        if not isinstance(batch, dict):
+            (batch[rows],) = made.values()
             return
         for name, values in made.items():
             if isinstance(batch[name], list):
@@ -77,33 +74,31 @@ class KartObserver:
         """Returns the observations of some karts, with a leading axis over karts."""
         snapshot = Snapshot(data)
         batch = observe_karts(track, kart_types, snapshot, who, num_paths)
-        if {"karts_velocity", "karts_heading"} & set(self._names):
+        if {"karts_velocity", "karts_heading"} & {name for name, *_ in self._entries}:
             batch |= karts_motion(snapshot, who)
         for group, size in self._sizes.items():
             if size >= 0:
                 _resize(batch, group, size)
         if self._is_polar:
             batch.update({key: to_polar(batch[key]) for key in _POLAR})
-        own = {name: batch[name] for name in self._names}
-        return self._vectors(own, batch) if self._is_flat else own
-
-    def _vectors(self, own: Batch, batch: Batch) -> Any:
-        parts = [(np.reshape(part, (len(part), -1)), part.dtype) for part in own.values()]
-        choices = np.concatenate([part for part, kind in parts if kind == np.int64], axis=1)
-        numbers = [part for part, kind in parts if kind != np.int64]
-        continuous = np.concatenate(numbers, axis=1, dtype=np.float32)
-        mask = {}
         if self._uses is not None:
             state = (batch[key].reshape(-1, 1) for key in ("energy", "powerup_type"))
-            mask["action_mask"] = action_mask(*state, self._uses)
-        if self._joined is None:
-            return {**mask, "continuous": continuous, "discrete": choices}
-        ones = []
-        for number, size in enumerate(self._joined.tolist()):
-            column = choices[:, number]
-            ones.append(np.eye(size, dtype=np.float32)[column])
-        vector = np.concatenate([continuous, *ones], axis=1)
-        return {**mask, "observation": vector} if mask else vector
+            batch["action_mask"] = action_mask(*state, self._uses)
+        parts: dict[str, list[Any]] = {}
+        for name, part, values in self._entries:
+            rows = batch[name]
+            if part != name:
+                rows = np.eye(values)[rows] if values else rows
+                rows = np.reshape(rows, (len(rows), -1))
+            parts.setdefault(part, []).append(rows)
+        return {part: _joined(rows) for part, rows in parts.items()}
+
+
+def _joined(rows: list[Any]) -> Any:
+    if len(rows) == 1:
+        return rows[0]
+    kind = np.int64 if all(part.dtype == np.int64 for part in rows) else np.float32
+    return np.concatenate(rows, axis=1, dtype=kind)
 
 
 def action_mask(energy: Any, powerup: Any, uses: BoolArray) -> npt.NDArray[np.int8]:

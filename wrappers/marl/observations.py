@@ -72,9 +72,9 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
-        if not plan.is_flat or plan.joined or plan.uses is not None:
+        if not plan.is_flat or plan.ones or plan.uses is not None:
             return False
-        plan.uses = self._uses
+        plan.uses, plan.parts["action_mask"] = self._uses, "action_mask"
         return True
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
