@@ -254,21 +254,16 @@ class Episode:
     def _start(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> None:
         """Sets all counters to zero."""
         of_agent = [*rewards.values()]
-        different = {id(reward): reward for reward in of_agent}.values()
-        names = sorted({name for reward in different for name in reward.terms})
+        names = sorted({name for reward in of_agent for name in reward.terms})
+        agents_with = {id(one): [each is one for each in of_agent] for one in of_agent}
         self._custom = [
-            (
-                reward,
-                name,
-                np.flatnonzero([other is reward for other in of_agent]),
-                names.index(name),
-            )
-            for reward in different
+            (reward, name, np.flatnonzero(agents_with[id(reward)]), names.index(name))
+            for reward in {id(each): each for each in of_agent}.values()
             for name, term in reward.terms.items()
             if not isinstance(term, KernelTerm)
         ]
         self._rewards = tuple(_kernel_part(reward, names) for reward in of_agent)
-        self._num_steps, self._max_cycles = 0, options.max_cycles
+        self._num_terms, self._num_steps, self._max_cycles = len(names), 0, options.max_cycles
         endings = Endings(options, len(of_agent))
         self._endings = endings if endings.are_chosen else None
         self._shows_events, self._events = options.events, None
@@ -311,10 +306,9 @@ class Episode:
         self._table = InfoTable(self.info_keys, count)
         terminations, truncations = np.zeros((2, count), np.bool_)
         self.ends: EndArrays = np.zeros(count), terminations, truncations
-        events = self._shown_events
-        if events is None:
-            events = np.zeros((int(karts.max()) + 1, 0))
-        numbers = self._last, self._sums, self._race_length
+        shown = self._shown_events
+        events = np.zeros(0) if shown is None else shown
+        numbers = self._last, self._sums, self._num_terms, self._race_length
         self._scorer = StepScorer(karts, *numbers, self._rewards, events)
 
 

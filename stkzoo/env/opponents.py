@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import chain, repeat
 from types import FunctionType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -86,19 +86,9 @@ class Opponent:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class OpponentsMoment:
-    """Immutable state of a race's opponents.
-
-    Attributes:
-        opponents: opponents that are still racing and that the game does not drive.
-        observations: their observations.
-        memory: state of their wrappers.
-    """
-
-    opponents: tuple[Opponent, ...]
-    observations: dict[str, Any]
-    memory: ChainsMemory
+#: State of a race's opponents at one moment: those that are still racing and that the game does not
+#: drive, their observations, and the state of their wrappers.
+OpponentsMoment: TypeAlias = tuple[tuple[Opponent, ...], dict[str, Any], ChainsMemory]
 
 
 class RaceOpponents:
@@ -196,15 +186,16 @@ class RaceOpponents:
         """
         seen = copy.deepcopy(self._look(episode))
         opponents = tuple(opponent.copy() for opponent in self.present.values())
-        return OpponentsMoment(opponents, seen, self._chains.memory())
+        return opponents, seen, self._chains.memory()
 
     def go_on_from(self, moment: OpponentsMoment) -> None:
         """Continues from a :meth:`moment` of this or another environment."""
         self.close()
-        self.present = {opponent.agent: opponent.copy() for opponent in moment.opponents}
-        self._observations = copy.deepcopy(moment.observations)
+        opponents, observations, memory = moment
+        self.present = {opponent.agent: opponent.copy() for opponent in opponents}
+        self._observations = copy.deepcopy(observations)
         self._chains = self._chains_here()
-        self._chains.recall(moment.memory)
+        self._chains.recall(memory)
 
     def close(self) -> None:
         """Stops the drivers of the current race."""

@@ -52,7 +52,16 @@ class Rendering:
     def __init__(
         self, mode: str | None, backend: str, size: Sequence[int], graphics_config: Any
     ) -> None:
-        check_render_mode(mode, backend)
+        if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
+            raise ConfigError(
+                f"render_mode is {mode!r}, expected None or one of {', '.join(RENDER_MODES)}"
+            )
+        check_name("render_backend", backend, BACKENDS)
+        if mode == "human" and backend == "map":
+            raise ConfigError(
+                'render_mode="human" opens the game\'s window, but render_backend is "map"; use '
+                'render_mode="rgb_array" for pictures of the map, or another render_backend'
+            )
         self.mode = mode
         preset = drawing_preset(mode, graphics_config)
         pixels = checked_size(size, "render_size")
@@ -123,24 +132,6 @@ def scene_of(episode: Episode) -> Scene:
     """Returns the episode's race in the form that renderers use."""
     race = episode.race
     return Scene(episode.setup, episode.track_map, race.kart_types, race.kart_indices)
-
-
-def check_render_mode(mode: str | None, backend: str) -> None:
-    """Checks a render mode and a render backend.
-
-    Raises:
-        ConfigError: either is invalid.
-    """
-    if mode is not None and not (isinstance(mode, str) and mode in RENDER_MODES):
-        raise ConfigError(
-            f"render_mode is {mode!r}, expected None or one of {', '.join(RENDER_MODES)}"
-        )
-    check_name("render_backend", backend, BACKENDS)
-    if mode == "human" and backend == "map":
-        raise ConfigError(
-            'render_mode="human" opens the game\'s window, but render_backend is "map"; use '
-            'render_mode="rgb_array" for pictures of the map, or another render_backend'
-        )
 
 
 def drawing_preset(mode: str | None, choice: Any) -> str | dict[str, Any]:

@@ -269,11 +269,12 @@ class StepScorer:
         last: ``(A, C)`` reward terms and events of the latest step, which :meth:`score_into`
             writes.
         sums: ``(A, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
+        num_terms: number of reward terms; the other columns are events.
         race_length: number of laps times the length of a lap [m].
         rewards: for each agent the names of its reward's terms, their weights, and their columns in
             ``last``. The caller writes the terms that are Python functions into ``last``.
         events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
-            of ``last``.
+            of ``last``; any empty array without events.
     """
 
     def __new__(
@@ -281,6 +282,7 @@ class StepScorer:
         karts: npt.NDArray[np.intp],
         last: npt.NDArray[np.float64],
         sums: npt.NDArray[np.float64],
+        num_terms: int,
         race_length: float,
         rewards: tuple[Any, ...],
         events: npt.NDArray[np.float64],

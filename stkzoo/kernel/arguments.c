@@ -4,7 +4,7 @@
 
 #include <string.h>
 
-static int as_array(PyObject *object, int type, int flags, void *out)
+int as_array(PyObject *object, int type, int flags, void *out)
 {
     PyArrayObject *array = (PyArrayObject *)object;
     if (!PyArray_Check(object) || !PyArray_EquivTypenums(PyArray_TYPE(array), type)) {

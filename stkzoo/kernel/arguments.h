@@ -21,6 +21,9 @@
     int as_##NAME(PyObject *object, void *array);                                                 \
     int as_written_##NAME(PyObject *object, void *array);
 
+/* Converts an array of a NumPy type with some NPY_ARRAY flags to any of the types below. */
+int as_array(PyObject *object, int type, int flags, void *array);
+
 ARRAY_TYPE(Floats, floats, float)
 ARRAY_TYPE(Doubles, doubles, double)
 ARRAY_TYPE(Indices, indices, npy_intp)

@@ -182,12 +182,6 @@ static const void *record_of(const Scene *scene, const Key *key)
     return (const char *)scene->records[key->source] + key->offset;
 }
 
-static npy_int64 choice_of(const Scene *scene, const Key *key)
-{
-    const int is_count = key->source == KART && key->offset == offsetof(Kart, powerup_num);
-    return is_count ? powerup_count(scene->me) : *(const npy_int32 *)record_of(scene, key);
-}
-
 static npy_int64 item_type(const Scene *scene, npy_intp i)
 {
     return scene->snapshot.items[scene->nearest[ITEMS][i].which].type;
@@ -196,8 +190,9 @@ static npy_int64 item_type(const Scene *scene, npy_intp i)
 /* Returns row i of a choice; 0 for padding. */
 static npy_int64 choice_at(const Scene *scene, const Key *key, npy_intp i)
 {
-    if (key->group == OWN) return choice_of(scene, key);
-    return i < scene->real[ITEMS] ? item_type(scene, i) : 0;
+    if (key->group != OWN) return i < scene->real[ITEMS] ? item_type(scene, i) : 0;
+    const int is_count = key->source == KART && key->offset == offsetof(Kart, powerup_num);
+    return is_count ? powerup_count(scene->me) : *(const npy_int32 *)record_of(scene, key);
 }
 
 /* Writes the one-hot encoding of a choice. Returns -1 with an exception set if the choice is out of
@@ -373,7 +368,7 @@ static PyObject *value_of(const Scene *scene, Entry *entry)
     if (key->group != OWN) {
         return key->kind == CHOICE ? choice_rows(scene) : number_rows(scene, entry);
     }
-    if (key->kind == CHOICE) return PyLong_FromLongLong(choice_of(scene, key));
+    if (key->kind == CHOICE) return PyLong_FromLongLong(choice_at(scene, key, 0));
     PyObject *array = PyArray_SimpleNew(1, &width, NPY_FLOAT32);
     if (array) write_numbers(scene, key, PyArray_DATA((PyArrayObject *)array));
     return array;
@@ -446,15 +441,11 @@ typedef struct {
    not have all of `rows`. */
 static int find_column(const Part *part, PyObject *batch, Indices rows, Column *column)
 {
-    static const struct { int (*converter)(PyObject *, void *); npy_intp size; } TYPES[] = {
-        [NUMBER] = {as_written_floats, sizeof(float)},
-        [CHOICE] = {as_written_wholes, sizeof(npy_int64)},
-        [MASK] = {as_written_bytes, sizeof(npy_int8)},
-    };
-    struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
+    static const int TYPES[] = {[NUMBER] = NPY_FLOAT32, [CHOICE] = NPY_INT64, [MASK] = NPY_INT8};
+    Floats numbers; /* or Wholes or Bytes, which differ only in their pointer */
     PyObject *array = part_of(batch, part);
     if (!array) PyErr_Format(PyExc_ValueError, "the batch has no %U", part->name);
-    if (!array || !TYPES[part->kind].converter(array, &numbers)) return -1;
+    if (!array || !as_array(array, TYPES[part->kind], NPY_ARRAY_WRITEABLE, &numbers)) return -1;
     const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
     const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
     if (numbers.size != count * part->width) {
@@ -465,8 +456,8 @@ static int find_column(const Part *part, PyObject *batch, Indices rows, Column *
         PyErr_SetString(PyExc_IndexError, "a row index is out of range");
         return -1;
     }
-    const npy_intp size = TYPES[part->kind].size;
-    *column = (Column){numbers.data, part->width * size, size};
+    const npy_intp size = PyArray_ITEMSIZE((PyArrayObject *)array);
+    *column = (Column){(char *)numbers.data, part->width * size, size};
     return 0;
 }
 

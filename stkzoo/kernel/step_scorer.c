@@ -297,36 +297,28 @@ static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
     return 0;
 }
 
-/* Sets the numbers of columns from the shapes of `sums`, which `last` shares, and `events`. */
-static int set_columns(StepScorer *self, PyArrayObject *sums, PyArrayObject *events)
-{
-    const int are_rows = PyArray_NDIM(sums) == 2 && PyArray_NDIM(events) == 2;
-    if (!are_rows) return refuse("sums and events must be rows of numbers");
-    self->num_columns = PyArray_DIM(sums, 1);
-    self->num_events = PyArray_DIM(events, 1);
-    self->num_terms = self->num_columns - self->num_events;
-    const npy_intp sizes[][2] = {
-        {PyArray_DIM(sums, 0), self->karts.size},
-        {self->last.size, self->sums.size},
-        {self->num_terms >= 0 && are_below(self->karts, PyArray_DIM(events, 0)), 1},
-    };
-    return ARE_SIZES(sizes);
-}
-
-/* StepScorer(karts, last, sums, race_length, rewards, events): `rewards` has a tuple for set_reward()
-   for each agent. */
+/* StepScorer(karts, last, sums, num_terms, race_length, rewards, events): `rewards` has a tuple for
+   set_reward() for each agent. */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O&O&O&dO!O&", as_indices, &self->karts, as_written_doubles,
-                          &self->last, as_written_doubles, &self->sums, &self->race_length,
-                          &PyTuple_Type, &rewards, as_written_doubles, &self->events)) {
+    if (!PyArg_ParseTuple(args, "O&O&O&ndO!O&", as_indices, &self->karts, as_written_doubles,
+                          &self->last, as_written_doubles, &self->sums, &self->num_terms,
+                          &self->race_length, &PyTuple_Type, &rewards, as_written_doubles,
+                          &self->events)) {
         return -1;
     }
-    const Py_ssize_t count = PyTuple_GET_SIZE(rewards);
-    if (count != self->karts.size) return refuse("expected a reward for each agent");
-    if (set_columns(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 2),
-                    (PyArrayObject *)PyTuple_GET_ITEM(args, 5)) < 0 ||
+    const npy_intp count = self->karts.size, width = count ? self->sums.size / count : 0;
+    const npy_intp num_events = self->num_events = width - self->num_terms;
+    const npy_intp num_karts = num_events > 0 ? self->events.size / num_events : NPY_MAX_INTP;
+    const npy_intp sizes[][2] = {
+        {self->sums.size, width * count},
+        {self->last.size, self->sums.size},
+        {PyTuple_GET_SIZE(rewards), count},
+        {self->num_terms >= 0 && num_events >= 0 && are_below(self->karts, num_karts), 1},
+    };
+    self->num_columns = width;
+    if (ARE_SIZES(sizes) < 0 ||
         !(self->rewards = room_for(self, count, sizeof *self->rewards))) {
         return -1;
     }

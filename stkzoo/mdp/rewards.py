@@ -59,8 +59,8 @@ def _scorer_of(term: str, num_kart: int, race_length: float) -> tuple[Any, ...]:
     """Returns a scorer whose reward is one term, all karts, and room for their ends."""
     karts, ends = np.arange(num_kart), np.zeros((2, num_kart), np.bool_)
     reward = (term,), np.ones(1), np.zeros(1, np.intp)
-    (last, sums), no_events = np.zeros((2, num_kart, 1)), np.zeros((num_kart, 0))
-    scorer = StepScorer(karts, last, sums, race_length, (reward,) * num_kart, no_events)
+    last, sums = np.zeros((2, num_kart, 1))
+    scorer = StepScorer(karts, last, sums, 1, race_length, (reward,) * num_kart, np.zeros(0))
     return scorer, karts, *ends
 
 

@@ -104,16 +104,14 @@ def _number_or_array(
         return None
     # Python's own numbers: for a few of them, several times as fast as numpy's functions.
     entries = [*zip(array.reshape(-1).tolist(), *_bounds(space), strict=True)]
-    if _is_whole(space):
-        is_inside = all(
-            low <= number <= high and number == number // 1 for number, low, high in entries
-        )
-    else:
-        is_inside = all(
-            low - BOUND_TOLERANCE <= number <= high + BOUND_TOLERANCE and math.isfinite(number)
-            for number, low, high in entries
-        )
-    if not is_inside:
+    is_whole = _is_whole(space)
+    slack = 0 if is_whole else BOUND_TOLERANCE
+    if not all(
+        low - slack <= number <= high + slack
+        and math.isfinite(number)
+        and (number == number // 1 or not is_whole)
+        for number, low, high in entries
+    ):
         return None
     clipped = [min(max(number, low), high) for number, low, high in entries]
     if isinstance(space, spaces.Discrete):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -94,15 +94,14 @@ class _PlanKernel:
     def __init__(self, plan: ViewPlan, space: spaces.Space[Any]) -> None:
         self.reader: ActionReader = plan.new_reader()
         self.car: CarController | None = plan.new_controller()
-        records = RecordsObserver(plan)
-        self._lists = None if plan.has_rows else records
-        self.rows: RowObserver = plan.observer or records
+        self._records = RecordsObserver(plan)
+        self.rows: RowObserver = plan.observer or self._records
         self._form = form_of(space) if plan.has_rows else None
 
     def observe(self, source: ObservationSource, seats: Seats) -> dict[str, Any]:
         """Returns the observations of some agents, which share no memory with others."""
-        if self._lists is not None:
-            return dict(zip(seats.agents, self._lists.observe(source, seats.karts), strict=True))
+        if self._form is None:
+            return dict(zip(seats.agents, self._records.observe(source, seats.karts), strict=True))
         batch = new_batch(self._form, len(seats.agents))
         self.rows.observe_into(source, seats.karts, seats.order, batch)
         return split_batch(batch, seats.agents)
@@ -160,17 +159,9 @@ class CheckedActions:
     walked: Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class ChainsMemory:
-    """State of all agents' wrappers at one moment.
-
-    Attributes:
-        wrappers: state of the Python wrappers, by agent.
-        cars: state of the kernel's car controllers, one row per agent.
-    """
-
-    wrappers: Mapping[str, WrapperMemory]
-    cars: npt.NDArray[np.float64]
+#: State of the wrappers at one moment, by agent: of those in Python, and of the kernel's car
+#: controller.
+ChainsMemory: TypeAlias = Mapping[str, tuple[WrapperMemory, npt.NDArray[np.float64]]]
 
 
 class AgentChains:
@@ -395,8 +386,8 @@ class AgentChains:
         Raises:
             AgentException: a wrapper holds an object that cannot be copied.
         """
-        wrappers = {agent: chain.memory() for agent, chain in self._chains.items()}
-        return ChainsMemory(wrappers, self._cars.copy())
+        chains = zip(self._chains.items(), self._cars.copy(), strict=True)
+        return {agent: (chain.memory(), car) for (agent, chain), car in chains}
 
     def check_memory(self, memory: ChainsMemory) -> None:
         """Checks that :meth:`recall` accepts a memory.
@@ -404,9 +395,10 @@ class AgentChains:
         Raises:
             AgentException: an agent has other wrappers.
         """
-        for number, (agent, chain) in enumerate(self._chains.items()):
-            here = _classes(chain.remembering(), self._has_car[number])
-            there = _classes(memory.wrappers[agent].owners, memory.cars[number, 2] > 0)
+        for (agent, chain), has_car in zip(self._chains.items(), self._has_car, strict=True):
+            wrappers, car = memory[agent]
+            here = _classes(chain.remembering(), has_car)
+            there = _classes(wrappers.owners, car[2] > 0)
             if here != there:
                 names, others = (
                     ", ".join(each.__name__ for each in classes) or "pure functions"
@@ -427,10 +419,9 @@ class AgentChains:
         Raises:
             AgentException: a wrapper's memory cannot be copied.
         """
-        for agent, chain in self._chains.items():
-            chain.recall(memory.wrappers[agent])
-        agents = list(memory.wrappers)
-        self._cars[:] = memory.cars[[agents.index(agent) for agent in self._chains]]
+        for (agent, chain), car in zip(self._chains.items(), self._cars, strict=True):
+            wrappers, car[:] = memory[agent]
+            chain.recall(wrappers)
 
     def close(self) -> None:
         """Closes all wrappers."""

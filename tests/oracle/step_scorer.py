@@ -98,13 +98,14 @@ class StepScorer:
         karts: IntArray,
         last: FloatArray,
         sums: FloatArray,
+        num_terms: int,
         race_length: float,
         rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
         self._karts, self._last, self._sums = karts, last, sums
         self._race_length, self._rewards = race_length, rewards
-        self._events, self._num_terms = events, last.shape[1] - events.shape[1]
+        self._events, self._num_terms = events, num_terms
 
     def score_into(
         self,
@@ -122,7 +123,8 @@ class StepScorer:
             for term, weight, column in zip(*self._rewards[agent], strict=True):
                 values = np.asarray(TERMS[term](step), np.float64)
                 self._last[agent, column] = weight * values[self._karts[agent]]
-        self._last[who, self._num_terms :] = self._events[self._karts[who]]
+        if self._events.size:
+            self._last[who, self._num_terms :] = self._events[self._karts[who]]
         self._last[np.setdiff1d(np.arange(len(self._karts)), who)] = 0.0
         self._sums += self._last
         rewards[slots] = self._last[who, : self._num_terms].sum(axis=1)
