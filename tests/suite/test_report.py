@@ -167,6 +167,7 @@ def test_the_power_follows_from_the_variance_between_runs():
     text = report_sections(make_report(runs), {})
     assert "a difference of 0.05 from 198 runs of each algorithm, of 0.1 from 51 runs" in text
     assert make_report(runs[:1]).tasks[0].power is None
+    assert make_report([runs[0], replace(runs[0])]).tasks[0].power is None
 
 
 # ------------------------------------------------------------------ files
@@ -325,6 +326,13 @@ def swap_replays(folder):
         ),
         (
             lambda folder: shutil.copytree(folder, folder.parent / "copy"),
+            ConfigError,
+            "entry have the same replays; leave one out",
+        ),
+        (
+            lambda folder: evaluation_of(
+                plan_of("solo-general", "ippo", 0), constant(0.7), folder.parent / "again"
+            ),
             ConfigError,
             r"are of the same run, solo-general, ippo, 0; leave one out",
         ),

@@ -86,7 +86,7 @@ def test_simulated_intervals_contain_the_true_mean():
 
 @pytest.mark.parametrize(
     ("deviation", "difference", "runs"),
-    [(1, 0.5, 64), (1, 0.8, 26), (1, 1, 17), (1, 2, 6), (0, 1, 2)],
+    [(1, 0.5, 64), (1, 0.8, 26), (1, 1, 17), (1, 2, 6), (20, 1, 6281)],
 )
 def test_the_number_of_runs_for_80_percent_power_is_that_of_the_t_test(deviation, difference, runs):
     """The expected numbers are those of G*Power 3.1."""

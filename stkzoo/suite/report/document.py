@@ -140,7 +140,7 @@ class TaskReport:
             better: a time ratio has a minus sign on its scale.
         algorithms: the algorithms, by class.
         improvements: comparisons of each pair of algorithms of the same class.
-        power: how many runs a comparison needs; ``None`` if no algorithm has several runs.
+        power: how many runs a comparison needs; ``None`` if no algorithm has different runs.
     """
 
     task: str

@@ -223,8 +223,11 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
         EntryRefused: an entry is incomplete, or a replay or a number is not that of the entry.
     """
     found: dict[bool, dict[Any, Evaluation]] = {False: {}, True: {}}
+    owners: dict[tuple[str, ...], Path] = {}
     for folder in _entry_folders(paths):
         evaluation = Evaluation.load(folder)
+        if (owner := owners.setdefault(evaluation.entry.replays, folder)) != folder:
+            raise ConfigError(f"{owner} and {folder} have the same replays; leave one out")
         of_split = found[evaluation.entry.plan.is_on_training_tracks]
         other = of_split.setdefault(evaluation.key, evaluation)
         if other is not evaluation:
@@ -239,8 +242,9 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
             "missing; evaluate the agent also without --split train"
         )
     runs = [SuiteRun(test, trains.get(key), _curve(test)) for key, test in tests.items()]
+    _check_races(runs)
     for task in {run.task for run in runs}:
-        _check_alike([run for run in runs if run.task == task])
+        _check_budgets([run for run in runs if run.task == task])
     return tuple(sorted(runs, key=_order))
 
 
@@ -269,8 +273,8 @@ def _curve(test: Evaluation) -> LearningCurve | None:
     return curve
 
 
-def _check_alike(runs: Sequence[SuiteRun]) -> None:
-    """Checks that the runs of a task had the same races, and learned from equally many steps."""
+def _check_races(runs: Sequence[SuiteRun]) -> None:
+    """Checks that all runs had the races of their task, or fresh ones from the same text."""
     by_text = {run.test.entry.plan.fresh: run.test.folder for run in runs}
     if len(by_text) > 1:
         races = " and ".join(
@@ -278,6 +282,10 @@ def _check_alike(runs: Sequence[SuiteRun]) -> None:
             for text, folder in sorted(by_text.items())
         )
         raise ConfigError(f"the races of runs are {races}; write a report for each")
+
+
+def _check_budgets(runs: Sequence[SuiteRun]) -> None:
+    """Checks that the learned agents of a task learned from equally many kart-steps."""
     steps = {
         run.kart_steps: run.test.folder
         for run in runs

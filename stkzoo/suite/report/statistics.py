@@ -13,7 +13,6 @@ runs, and whole tracks with both directions, independently of each other (Owen 2
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,13 @@ from statistics import NormalDist, fmean, stdev
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.evaluation.statistics import DRAWS, Estimate, percentile_interval, student_t
+from stkzoo.evaluation.statistics import (
+    CONFIDENCE,
+    DRAWS,
+    Estimate,
+    percentile_interval,
+    student_t,
+)
 
 FloatArray = npt.NDArray[np.float64]
 #: Function of tables ``(..., R, C)`` that returns one value for each.
@@ -86,17 +91,23 @@ def runs_needed(deviation: float, difference: float) -> int:
     approximated (Abramowitz and Stegun 1964, 26.7.10).
 
     Args:
-        deviation: standard deviation between the runs of an algorithm.
+        deviation: standard deviation between the runs of an algorithm, above 0.
         difference: difference of the means.
     """
-    for count in itertools.count(FEWEST_RUNS):
-        freedom = 2 * count - 2
-        limit = student_t(freedom)
-        shift = math.inf if deviation == 0 else difference / deviation * math.sqrt(count / 2)
-        size = (shift - limit * (1 - 1 / (4 * freedom))) / math.sqrt(1 + limit**2 / (2 * freedom))
-        if NormalDist().cdf(size) >= POWER:
-            return count
-    raise AssertionError
+    size = difference / deviation
+    normal = sum(NormalDist().inv_cdf(share) for share in ((1 + CONFIDENCE) / 2, POWER))
+    count = max(FEWEST_RUNS, math.floor(2 * (normal / size) ** 2))  # a t test needs at least these
+    while _power(count, size) < POWER:
+        count += 1
+    return count
+
+
+def _power(count: int, size: float) -> float:
+    """Returns the power of a t test of two groups whose means differ by ``size`` deviations."""
+    freedom = 2 * count - 2
+    limit, shift = student_t(freedom), size * math.sqrt(count / 2)
+    spread = math.sqrt(1 + limit**2 / (2 * freedom))
+    return NormalDist().cdf((shift - limit * (1 - 1 / (4 * freedom))) / spread)
 
 
 def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:

@@ -161,6 +161,8 @@ def _power(groups: Iterable[Sequence[SuiteRun]]) -> PowerReport | None:
         return None
     squares = sum((value - fmean(values)) ** 2 for values in means for value in values)
     deviation = math.sqrt(squares / freedom)
+    if not deviation:
+        return None
     return PowerReport(
         deviation, freedom, {str(size): runs_needed(deviation, size) for size in _DIFFERENCES}
     )
