@@ -9,12 +9,11 @@ from dataclasses import replace
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation import Estimate
 from stkzoo.suite import (
     TASKS,
     Baselines,
-    EntryRefused,
     SuiteReport,
     load_runs,
     make_report,
@@ -25,7 +24,14 @@ from stkzoo.suite.report.document import NORMALIZED
 from stkzoo.suite.report.runs import HELD_OUT, SEEN
 from stkzoo.suite.report.writing import report_sections
 from stkzoo.suite.tasks import SUITE
-from tests.support.entries import SMALL, change_header, read_entry, replay_of, write_entry
+from tests.support.entries import (
+    SMALL,
+    change_header,
+    name_replays,
+    read_entry,
+    replay_of,
+    write_entry,
+)
 from tests.support.suite_runs import constant, evaluation_of, plan_of, suite_run, write_run
 
 FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "learning_curves.svg"}
@@ -175,7 +181,7 @@ def test_the_power_follows_from_the_variance_between_runs():
 
 @pytest.mark.slow
 def test_a_report_has_all_its_files_and_is_reproducible(runs, tmp_path, capsys):
-    driver = replace(plan_of("solo-general", "rules", 0, agent_class="scripted"))
+    driver = plan_of("solo-general", "rules", 0, agent_class="scripted")
     evaluation_of(driver, constant(0.9), tmp_path / "entries" / "rules")
     paths = [str(runs), str(tmp_path / "entries")]
     one, two = tmp_path / "one", tmp_path / "two"
@@ -257,95 +263,66 @@ def test_result_files_without_an_entry_are_refused_in_one_sentence(tmp_path, cap
         assert f"{paths[0]} has no entry (entry.json, replays); expected the folder of" in error
 
 
-def change_entry(folder, change):
-    entry = read_entry(folder)
-    change(entry)
-    write_entry(folder, entry)
+def of_card(change):
+    """Returns a function that changes the card of an entry in its folder."""
+
+    def edit(folder):
+        card = read_entry(folder)
+        change(card)
+        write_entry(folder, card)
+
+    return edit
 
 
-def finish_sooner(entry):
-    race = entry["races"][0]
-    race["time_ratio"] = 0.5
-    race["karts"][0]["time"] /= 2
+def about(**facts):
+    return of_card(lambda card: card["plan"]["about"].update(facts))
+
+
+def finish_sooner(card):
+    card["races"][0]["time_ratio"] = 0.5
+    card["races"][0]["karts"][0]["time"] /= 2
 
 
 def swap_replays(folder):
-    one, two = (replay_of(folder, number) for number in (0, 2))
-    first = one.read_bytes()
-    one.write_bytes(two.read_bytes())
-    two.write_bytes(first)
-    change_entry(folder, lambda entry: entry["replays"].insert(0, entry["replays"].pop(2)))
-    change_entry(folder, lambda entry: entry["replays"].insert(2, entry["replays"].pop(1)))
+    contents = [replay_of(folder, number).read_bytes() for number in (2, 0)]
+    for number, content in zip((0, 2), contents, strict=True):
+        replay_of(folder, number).write_bytes(content)
+    name_replays(folder)
+
+
+def evaluate_again(folder):
+    evaluation_of(plan_of("solo-general", "ippo", 0), constant(0.7), folder.parent / "again")
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "message"),
+    ("change", "message"),
     [
-        (
-            lambda folder: change_entry(folder, finish_sooner),
-            EntryRefused,
-            r"is refused:\nrace 0 \(cocoa_temple forward\), step 1: karts\[0\]\.time is",
-        ),
+        (of_card(finish_sooner), r"is refused:\nrace 0 .*forward\), step 1: karts\[0\]\.time is"),
         (
             lambda folder: change_header(folder, 1, lambda header: header.update(status="x")),
-            EntryRefused,
-            r"race 1 \(cocoa_temple reversed\): the replay is not the one of entry\.json",
+            r"race 1 \(.* reversed\): the replay is not the one of entry\.json",
         ),
-        (swap_replays, EntryRefused, "race 0 .*: the replay is of another race"),
-        (lambda folder: replay_of(folder, 3).unlink(), EntryRefused, "see 00003.stkz"),
-        (
-            lambda folder: change_entry(
-                folder, lambda e: [e[n].pop() for n in ("races", "replays")]
-            ),
-            EntryRefused,
-            "it has 59 of 60 races",
-        ),
-        (
-            lambda folder: change_entry(folder, lambda e: e["plan"].update(task_digest="0" * 64)),
-            EntryRefused,
-            "task_digest of the plan is not that of solo-general",
-        ),
-        (
-            lambda folder: change_entry(
-                folder, lambda entry: entry["plan"]["about"].update(agent_class=None)
-            ),
-            ConfigError,
-            "'ippo 0' has no class; choose one of",
-        ),
-        (
-            lambda folder: change_entry(
-                folder, lambda entry: entry["plan"]["about"].update(kart_steps=1_950_000)
-            ),
-            ConfigError,
-            "agent with 1950000 kart-steps, and .*log.jsonl ends at 2000000",
-        ),
+        (swap_replays, "race 0 .*: the replay is of another race"),
+        (lambda folder: replay_of(folder, 3).unlink(), "see 00003.stkz"),
+        (of_card(lambda c: [c[n].pop() for n in ("races", "replays")]), "it has 59 of 60 races"),
+        (of_card(lambda c: c["plan"].update(task_digest="0" * 64)), "task_digest of the plan"),
+        (about(agent_class=None), "'ippo 0' has no class; choose one of"),
+        (about(kart_steps=1_950_000), "with 1950000 kart-steps, and .*log.jsonl ends at 2000000"),
         (
             lambda folder: (folder.parent / "log.jsonl").write_text("[]\n"),
-            ConfigError,
             "log.jsonl is not the log of a training",
         ),
         (
             lambda folder: shutil.copytree(folder, folder.parent / "copy"),
-            ConfigError,
             "entry have the same replays; leave one out",
         ),
-        (
-            lambda folder: evaluation_of(
-                plan_of("solo-general", "ippo", 0), constant(0.7), folder.parent / "again"
-            ),
-            ConfigError,
-            r"are of the same run, solo-general, ippo, 0; leave one out",
-        ),
-        (
-            shutil.rmtree,
-            ConfigError,
-            "has the training tracks of solo-general, ippo, 0, and its entry is missing",
-        ),
+        (evaluate_again, "are of the same run, solo-general, ippo, 0; leave one out"),
+        (shutil.rmtree, "has the training tracks of solo-general, ippo, 0, and its entry is"),
     ],
 )
-def test_a_changed_entry_is_refused(runs, change, error, message):
+def test_a_changed_entry_is_refused(runs, change, message):
     change(runs / "solo-general-ippo-0" / "entry")
-    with pytest.raises(error, match=message):
+    with pytest.raises(StkzooError, match=message):
         load_runs([runs])
 
 

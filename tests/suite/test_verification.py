@@ -92,10 +92,8 @@ def test_an_honest_entry_is_verified_without_stored_race_results(entry, capsys):
     assert main(["suite", "verify", str(entry)]) == 0
     *_, verified, proof = capsys.readouterr().out.splitlines()
     assert verified == "Verified: all 6 races are as recorded, to the last bit."
-    assert proof == (
-        "Proven: the races took place. Not proven: that Ada drove; with its files, "
-        "`stkzoo suite verify ENTRY --agent AGENT` proves it."
-    )
+    assert proof.startswith("Proven: the races took place. Not proven: that Ada drove; with")
+    assert "`stkzoo suite verify ENTRY --agent AGENT` proves it." in proof
 
 
 @pytest.mark.slow
