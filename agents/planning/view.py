@@ -376,18 +376,19 @@ class PlanVectorEnv(VectorWrapper):
         observations = self.view.observe(last)
         for slot in slots:
             infos["final_obs"][slot] = {key: rows[slot] for key, rows in observations.items()}
-        begun = self._begun(ended)
+        begun = begun_slots(self.races, ended)
         if len(begun):
             self._begin(begun)
             observations = self.view.observe(seen, advances=False)
         infos["applies"], infos["_applies"] = self._applies, np.ones(self.num_envs, np.bool_)
         return observations, rewards, terminations, truncations, infos
 
-    def _begun(self, ended: BoolArray) -> IntArray:
-        """Returns the slots whose race began in a step in which some slots ended."""
-        by_race = self.races.num_races, self.races.num_agents
-        begins = ended.reshape(by_race).any(axis=1) & self.races.racing.reshape(by_race).all(axis=1)
-        return np.flatnonzero(np.repeat(begins, by_race[1]))
-
     def _begin(self, slots: IntArray) -> None:
         self.view.begin(slots, self._random.random(len(slots)) < self._mirror_share)
+
+
+def begun_slots(races: RaceVectorEnv, ended: BoolArray) -> IntArray:
+    """Returns the slots whose race began in a step in which some slots ended."""
+    by_race = races.num_races, races.num_agents
+    begins = ended.reshape(by_race).any(axis=1) & races.racing.reshape(by_race).all(axis=1)
+    return np.flatnonzero(np.repeat(begins, by_race[1]))

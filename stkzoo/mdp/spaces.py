@@ -73,6 +73,8 @@ STANDING = (
     ),
 )
 STANDING_SIZE = sum(size for _, size, *_ in STANDING)
+#: Multiplying the standing by it mirrors the race left to right.
+STANDING_MIRROR = np.array([1, 1, -1, 1, *4 * [1, -1, 1, 1, -1, 1, 1, 1, 1]], np.float32)
 
 #: Optional parts of an observation, each with an entry that identifies it.
 EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity", "standing": "standing"}

@@ -1,12 +1,16 @@
 """The reference algorithms of the suite learn, resume, and write agents that race."""
 
+from contextlib import ExitStack, closing
+
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.memory import MEMORY_SIZE
+from stkzoo import RaceVectorEnv
+from stkzoo.agents.planning.memory import MEMORY_MIRROR, MEMORY_SIZE
 from stkzoo.agents.pretrained.policy import Network
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
+from stkzoo.agents.training.common.filtered import FilteredVectorEnv
 from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.agents.training.ppo.opponents import Matchmaker
 from stkzoo.agents.training.ppo.rollouts import ActorArguments, RaceActor, values_of
@@ -16,7 +20,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.suite import find_task
-from stkzoo.wrappers.racing import CONTEST_SIZE, PLACES, SIZE
+from stkzoo.wrappers.racing import CONTEST_MIRROR, CONTEST_SIZE, PLACES, SIZE
 
 TRAIN = "suite", "train", "solo-general", "ippo"
 SMALL = {
@@ -151,6 +155,32 @@ def test_a_kart_that_has_finished_shares_the_later_rewards_of_its_mate(tmp_path)
         assert part._end_teams(nobody, ~(first | second)).tolist() == [False, False, True, True]
     finally:
         actor.close()
+
+
+def test_a_mirrored_kart_sees_and_drives_the_mirror_image():
+    """Two equal races, one of them mirrored, also after they have started again."""
+    mirror = np.concatenate([CONTEST_MIRROR, MEMORY_MIRROR])
+    options = {"num_kart": 3, "agents": 2, "track": "lighthouse", "view": "contest"}
+    with ExitStack() as resources:
+        plain, mirrored = (
+            resources.enter_context(
+                closing(FilteredVectorEnv(RaceVectorEnv(1, **options, max_cycles=25), 11))
+            )
+            for _ in range(2)
+        )
+        plain.reset(seed=4), mirrored.reset(seed=4)
+        random = np.random.default_rng(0)
+        for _ in range(60):
+            plain._is_mirrored[:], mirrored._is_mirrored[:] = False, True
+            choices = np.column_stack([random.integers(0, n, 2) for n in (21, 2, 2, 2, 2)])
+            image = choices.copy()
+            image[:, 0] = 20 - choices[:, 0]
+            plain.step_async(choices), mirrored.step_async(image)
+            seen, *_, infos = plain.step_wait()
+            other, *_, other_infos = mirrored.step_wait()
+            if "final_obs" in infos:  # a new race draws which karts are mirrored
+                seen, other = (np.stack(i["final_obs"]) for i in (infos, other_infos))
+            np.testing.assert_allclose(other, seen * mirror, atol=1e-6)
 
 
 def test_normalizing_returns_keeps_the_values(tmp_path):

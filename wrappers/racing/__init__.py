@@ -1,6 +1,7 @@
 """The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
 from stkzoo.wrappers.racing.features import (
+    CONTEST_MIRROR,
     CONTEST_SIZE,
     LOOKS,
     MEANINGS,
@@ -34,6 +35,7 @@ __all__ = [
     "BRAKE",
     "CHOICES",
     "CHOICE_NAMES",
+    "CONTEST_MIRROR",
     "CONTEST_SIZE",
     "LOOKS",
     "MEANINGS",

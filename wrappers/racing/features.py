@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.mdp.spaces import STANDING_SIZE
+from stkzoo.mdp.spaces import STANDING_MIRROR, STANDING_SIZE
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 
 #: Distance between the points of a road's line [m].
@@ -106,6 +106,8 @@ def _mirror() -> npt.NDArray[np.float32]:
 
 #: ``(SIZE,)`` of 1 and -1; multiplying a view by it mirrors the race left to right.
 MIRROR = _mirror()
+#: The same for the view ``contest``.
+CONTEST_MIRROR = np.concatenate([MIRROR, STANDING_MIRROR])
 
 #: Entries of the ``full`` view that describe a kart's own state, and their places in
 #: :attr:`Surroundings.ego`.

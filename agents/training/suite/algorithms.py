@@ -50,7 +50,7 @@ from ..ppo.run import PPORun, PPOSetup
 MACHINE = "machine.json"
 #: Number of past policies that a run keeps.
 _POOL_SIZE = 40
-_LEARNERS = 64
+_LEARNERS = 32
 #: Opponents of each algorithm, and whether its value network sees the other learners.
 _ALGORITHMS = {
     "ippo": (NOBODY, False),
@@ -68,7 +68,7 @@ class TaskArguments(RolloutArguments):
     Attributes:
         algorithm: name of the algorithm.
         task: name of the task.
-        num_races: number of parallel races; 0 for as many as give 64 learners.
+        num_races: number of parallel races; 0 for as many as give 32 learners.
         num_starts: number of different starts in each process between two checkpoints.
         hold: minimum steps of a drift.
         random_starts: share of the races that start anywhere on the track.
@@ -78,7 +78,8 @@ class TaskArguments(RolloutArguments):
     batch_size: BatchSize = 512
     n_epochs: int = 4
     gamma: Share = 0.995
-    ent_coef: Coefficient = 0.003
+    gae_lambda: Share = 0.9
+    ent_coef: Coefficient = 0.001
     target_kl: float = 0.03
     warm_up: Natural = 0
     checkpoint_every: int = 40
