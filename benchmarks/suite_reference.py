@@ -5,9 +5,11 @@
     python -m benchmarks.suite_reference --archive suite-1.zip    # packs the runs that are complete
 
 Each run has a folder, such as ``runs/suite/versus-ippo-0``: what ``stkzoo suite train`` writes, the
-entry of its agent (``entry``) and the evaluation on the training tracks (``entry-train``). One run
-is trained at a time, with all cores; all tasks and algorithms of a seed come before the next seed.
-``stkzoo suite report runs/suite`` reads these folders.
+entry of its agent (``entry``) and the evaluation on the training tracks (``entry-train``). Agents
+of ``ippo`` are also evaluated with the most likely choices (``entry-argmax``), and without recovery
+of stuck karts (``entry-unrecovered``). One run is trained at a time, with all cores; all tasks and
+algorithms of a seed come before the next seed. ``stkzoo suite report runs/suite`` reads these
+folders.
 
 ``--archive`` trains nothing. It packs agents, entries, logs and arguments into a zip for a release,
 and writes to ``benchmarks/results/suite`` what the repository holds: ``digests.json`` with the
@@ -30,9 +32,10 @@ from rich.console import Console
 
 from benchmarks.common import RESULTS, parser
 from stkzoo._os import file_digest, write_text, write_whole
+from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
-from stkzoo.suite import ALGORITHMS, can_learn, evaluate, find_task, load_runs, make_report
+from stkzoo.suite import ALGORITHMS, About, can_learn, evaluate, find_task, load_runs, make_report
 
 #: Tasks with reference runs, and the seeds of the runs.
 REFERENCE_TASKS = ("solo-general", "versus", "selfplay-5", "team-2v2")
@@ -41,10 +44,12 @@ SEEDS = (0, 1, 2, 3, 4)
 OUTPUT = RESULTS / "suite"
 #: Folders of the evaluations in the folder of a run, by split.
 _EVALUATIONS = {"test": "entry", "train": "entry-train"}
+#: Other evaluations of an agent of ippo, and what is different in each.
+_VARIANTS = {"argmax": {"samples": False}, "unrecovered": {"recovers": False}}
 #: What the archive holds of a run.
 _PACKED = (
-    *("agent/*", "log.jsonl", "arguments.json", "machine.json"),
-    *(f"{name}/{file}" for name in _EVALUATIONS.values() for file in ("entry.json", "replays/*")),
+    *("agent/*", "log.jsonl", "arguments.json"),
+    *(f"entry*/{file}" for file in ("entry.json", "replays/*")),
 )
 
 
@@ -81,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
             task, algorithm, seed = runs[name]
             budget = options.kart_steps or find_task(task).budget
             algorithms.run(algorithm, folder, task, budget, seed)
-        console.print(f"{name}: {_evaluate(folder, runs[name][0], options.jobs)}")
+        console.print(f"{name}: {_evaluate(folder, *runs[name][:2], options.jobs)}")
     return 0
 
 
@@ -95,13 +100,21 @@ def reference_runs() -> dict[str, tuple[str, str, int]]:
     }
 
 
-def _evaluate(folder: Path, task: str, jobs: int | None) -> str:
+def _evaluate(folder: Path, task: str, algorithm: str, jobs: int | None) -> str:
     """Evaluates the agent of a run, or continues its evaluations; returns the scores."""
     agent, scores = str(folder / "agent"), []
     for split, name in _EVALUATIONS.items():
         output = folder / name
         entry = evaluate(task, agent, split=split, output=output, jobs=jobs, plot=False)
         scores.append(f"{entry.score} on the {split} tracks")
+    for variant, changes in _VARIANTS.items() if algorithm == "ippo" else ():
+        name, policy = f"{algorithm}_{variant}", max(folder.glob("policy-*.safetensors"))
+        other = export_policy(
+            policy, name, folder / f"agent-{variant}", **{"samples": True} | changes
+        )
+        about, output = About(variant=variant), folder / f"entry-{variant}"
+        entry = evaluate(task, str(other), about=about, output=output, jobs=jobs, plot=False)
+        scores.append(f"{entry.score} {variant}")
     return ", ".join(scores)
 
 

@@ -38,14 +38,14 @@ POPULATION = (
     Member("ai:2", "df25f0a35915209c"),
     Member("ai:3", "b2608ce6a4c13123"),
     Member("pursuit", "e7a0dd3e7c727757", is_held_out=True),
-    Member("heuristic", "f50bcd7ad90b57a8"),
+    Member("heuristic", "3e63a9f8880fb747"),
     Member("pretrained:rookie", "d6de5c34044c6695"),
     Member("pretrained:regular", "9054fb94c2fa8b23", is_held_out=True),
     Member("pretrained:hunter", "e121cfa1b5d15b11"),
     Member("pretrained:raider", "72c87dc1435e8a09", is_held_out=True),
     Member("pretrained:scout", "12d27e85940cf506", is_held_out=True),
     Member("pretrained:ace", "3dc4f4629e43edf8"),
-    Member("pretrained:apex", "81f088bd499bc1d3", is_held_out=True),
+    Member("pretrained:apex", "14445f7499666f6a", is_held_out=True),
 )
 
 

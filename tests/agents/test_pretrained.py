@@ -13,7 +13,6 @@ from stkzoo.agents.planning.driver import ALL_LOOKS, CHOICES, INPUT_SIZE
 from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained import action_filter
-from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.driver import make_actor, new_state, read_policy
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
 from stkzoo.agents.pretrained.mlp import MlpDriver
@@ -22,7 +21,7 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, driver_names, find_driver, run_race
-from stkzoo.wrappers.racing import CONTEST_SIZE, PLACES, SIZE, surroundings_of
+from stkzoo.wrappers.racing import CONTEST_SIZE, surroundings_of
 from tests.support.networks import small_network
 
 LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
@@ -98,24 +97,6 @@ class Controls(RaceListener):
 
     def stepped(self, race):
         self.rows.append(race.snapshot.karts["control"].copy())
-
-
-def test_a_stuck_kart_drives_on_only_if_the_filter_recovers():
-    views = np.zeros((1, SIZE), np.float32)
-    views[:, PLACES["velocity"].start + 2] = 0.5  # moves, then stands still
-    forward = np.array([[10, 0, 0, 0, 0]])
-    pedals = {}
-    for recovers in (True, False):
-        action_filter = ActionFilter(1, 11, recovers=recovers)
-        action_filter.look(views)
-        action_filter.apply(forward)
-        steps = []
-        for _ in range(30):
-            action_filter.look(np.zeros_like(views))
-            steps.append(int(action_filter.apply(forward)[0, 1]))
-        pedals[recovers] = set(steps)
-    assert pedals[False] == {0}
-    assert pedals[True] > {0}
 
 
 @pytest.mark.parametrize(

@@ -123,20 +123,13 @@ class MotionDigest(RaceListener):
     stepped = started
 
 
-#: Members whose digests come from a processor on which numpy's arctan2 and tan round differently.
-#: Their decisions no longer depend on these functions; new runs of the suite need new digests.
-ROUNDED = "heuristic", "pretrained:apex"
-
-
 @pytest.mark.skipif(not LIBM.exists(), reason="needs Linux")
 @pytest.mark.parametrize(
     "member",
     marked(POPULATION, [m for m in POPULATION if m.driver in ("ai:2", "pretrained:ace")]),
     ids=lambda member: member.driver,
 )
-def test_a_member_of_the_population_still_drives_the_same(member, request):
-    if member.driver in ROUNDED:
-        request.applymarker(pytest.mark.xfail(strict=True))
+def test_a_member_of_the_population_still_drives_the_same(member):
     motion, race = MotionDigest(), {"track": "lighthouse", "difficulty": 3, "seed": 1}
     drivers, places = [member.driver, "ai"], (1, 2)
     run_race(drivers, listeners=[motion], start_positions=places, wait_for=(0,), **race)

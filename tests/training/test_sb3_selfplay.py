@@ -229,10 +229,13 @@ def test_the_memory_of_the_filter_is_observed():
 
 def test_a_stuck_kart_is_freed_but_not_on_the_grid():
     action_filter, choices = ActionFilter(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
+    idle = ActionFilter(2, 0, recovers=False)
     pedals = []
     for step in range(60):
-        action_filter.look(views(0.0, 0.0 if step != 10 else 8.0, line_position=0.1))
+        for each in (action_filter, idle):
+            each.look(views(0.0, 0.0 if step != 10 else 8.0, line_position=0.1))
         done = action_filter.apply(choices)
+        assert (idle.apply(choices) == choices).all()
         pedals.append(done[:, 1].tolist())
     grid, stuck = np.array(pedals).T
     assert not grid.any()  # this kart has not moved yet

@@ -272,15 +272,12 @@ def test_an_unknown_algorithm_is_refused(capsys):
     assert "unknown algorithm 'ipo'. Did you mean 'ippo'?" in capsys.readouterr().err
 
 
-def test_numbers_out_of_bounds_are_refused(tmp_path, capsys):
-    assert main([*TRAIN, "--seed", "1" * 22, "--output", str(tmp_path / "run")]) == 2
-    assert "expected a whole number from 0 to" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys):
-    file = tmp_path / "file"
+def test_unusable_arguments_are_refused(tmp_path, capsys):
+    file, run = tmp_path / "file", tmp_path / "run"
     file.touch()
+    assert main([*TRAIN, "--seed", "1" * 22, "--output", str(run)]) == 2
+    assert "expected a whole number from 0 to" in capsys.readouterr().err
+    assert not run.exists()
     assert main([*TRAIN, "--output", str(file)]) == 2
     error = capsys.readouterr().err
     assert f"the run's folder {file} cannot be used: " in error

@@ -15,39 +15,31 @@ All act through the action filter (:mod:`stkzoo.agents.pretrained.action_filter`
 stuck karts free themselves. The policy observes the filter's memory.
 
 The folder of a run contains `checkpoint.pt`, `log.jsonl` (one line per iteration), TensorBoard
-files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent, and
-`machine.json`, the machine that trained it.
+files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent.
 """
 
 from __future__ import annotations
 
-import importlib.metadata
-from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from stkzoo._checks import check_whole
-from stkzoo._os import cpu_count
-from stkzoo._schema import Share, Whole
+from stkzoo._schema import Share
 from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.errors import ConfigError
-from stkzoo.race.result import versions_now
 from stkzoo.suite import Task, can_learn, find_task
 from stkzoo.wrappers.racing import CONTEST_SIZE
 
 from ..common.arguments import BatchSize, Coefficient, Natural, RolloutArguments
-from ..common.run_folder import write_json
 from ..export import export_policy
 from ..ppo.network import RacingNetwork
 from ..ppo.opponents import NOBODY, PRIORITIZED, Matchmaker
 from ..ppo.rollouts import ActorRaces
 from ..ppo.run import PPORun, PPOSetup
 
-#: File with the :class:`TrainingMachine` in the folder of a run.
-MACHINE = "machine.json"
 #: Number of past policies that a run keeps.
 _POOL_SIZE = 40
 _LEARNERS = 32
@@ -89,24 +81,6 @@ class TaskArguments(RolloutArguments):
     num_starts: int = 20
     hold: Natural = 11
     random_starts: Share = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingMachine:
-    """The machine that trained a run, or its last part if the run was continued on another one.
-
-    Attributes:
-        cores: number of its cores.
-        versions: versions of its software by name.
-    """
-
-    cores: Whole
-    versions: Mapping[str, str]
-
-    @classmethod
-    def now(cls) -> TrainingMachine:
-        """Returns this machine."""
-        return cls(cpu_count(), {**versions_now(), "torch": importlib.metadata.version("torch")})
 
 
 def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
@@ -190,9 +164,7 @@ def run(algorithm: str, folder: Path, task: str, kart_steps: int, seed: int) -> 
 
 
 def finish_run(learner: PPORun, kart_steps: int, name: str) -> Path:
-    """Learns until a number of kart-steps, ends the races and writes the agent and the machine.
-
-    If nothing is left to learn, the machine stays the one that trained.
+    """Learns until a number of kart-steps, ends the races and writes the agent.
 
     Args:
         learner: the run.
@@ -202,10 +174,7 @@ def finish_run(learner: PPORun, kart_steps: int, name: str) -> Path:
     Returns:
         The folder of the agent.
     """
-    is_trained = learner.kart_steps >= kart_steps
     with closing(learner):
         policy = learner.learn(kart_steps, _SHOWN)
-    if not is_trained:
-        write_json(learner.folder / MACHINE, asdict(TrainingMachine.now()))
     plain = "".join(sign if sign.isalnum() else "_" for sign in name.lower())
     return export_policy(policy, plain, learner.folder / "agent", samples=True)
