@@ -166,8 +166,15 @@ class _SurroundingsObserver:
 
     def observe_into(self, source: Any, karts: IntArray, rows: IntArray, batch: Any) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
-        snapshot = source.snapshot
-        around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
+        snapshot, observer = source.snapshot, road_observer(source.track_map)
+        is_block = rows[-1] - rows[0] == len(rows) - 1 and not self._sees_line
+        if is_block and len(snapshot.karts) <= _KARTS and len(snapshot.items) <= _ITEMS:
+            block = slice(int(rows[0]), int(rows[-1]) + 1)
+            arrays = tuple(batch[key][block] for key in _AROUND)
+            observer.write_surroundings(snapshot, karts, ALL_LOOKS, arrays)
+            batch["phase"][block] = snapshot.phase
+            return
+        around = observer.surroundings(snapshot, karts, ALL_LOOKS)
         if self._sees_line:
             ahead = source.ground_ahead(karts)
             line = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)

@@ -206,9 +206,28 @@ class RoadObserver:
             np.empty((count, len(snapshot.items), 3), np.float32),
             np.empty((count, len(snapshot.items)), np.int64),
         )
+        self.write_surroundings(snapshot, karts, looks, arrays)
+        return Surroundings(*arrays)
+
+    def write_surroundings(
+        self,
+        snapshot: Snapshot,
+        karts: IntArray,
+        looks: FloatArray,
+        arrays: tuple[npt.NDArray[Any], ...],
+    ) -> None:
+        """Does the same as :meth:`surroundings` with given arrays.
+
+        Args:
+            snapshot: current snapshot of the race.
+            karts: ``(A,)`` indices of the karts.
+            looks: ``(L,)`` distances at which the road is observed [m].
+            arrays: the first five arrays of :class:`~.surroundings.Surroundings`, which are
+                written. Rows without a kart are infinite; items that are missing have the type
+                :data:`~.surroundings.ABSENT`.
+        """
         looks = np.ascontiguousarray(looks, np.float32)
         look_around(self._road, snapshot.data, karts, looks, arrays)
-        return Surroundings(*arrays)
 
 
 def racing_features(around: Surroundings, out: FloatArray | None = None) -> FloatArray:
