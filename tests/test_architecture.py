@@ -67,7 +67,6 @@ NOT_EXPORTED = {
     "stkzoo._reading": "training reads its files in bounds, as the rest of the package does",
     "stkzoo._schema": "training declares the bounds of its files in the same way",
     "stkzoo._temporary": "training removes only folders that it made",
-    "stkzoo.race.result": "a run of the suite records the versions of the software, as races do",
     "stkzoo.race.rescues": "the planner counts rescues in copies of a race, as races do",
 }
 
