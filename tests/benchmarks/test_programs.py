@@ -15,7 +15,8 @@ from tests.support.suite_runs import constant, write_run
 
 pytestmark = pytest.mark.slow
 
-PROGRAMS = ("steps", "learners", "parity", "ecosystem", "suite_baselines", "suite_reference")
+SUITE = "suite_baselines", "suite_pilot", "suite_reference"
+PROGRAMS = ("steps", "learners", "parity", "ecosystem", *SUITE)
 
 
 def run(program, *words, expected=0):

@@ -137,7 +137,9 @@ def _check_task(task: Task, algorithm: str) -> None:
         )
 
 
-def run(algorithm: str, folder: Path, task: str, kart_steps: int, seed: int) -> Path:
+def run(
+    algorithm: str, folder: Path, task: str, kart_steps: int, seed: int, **changes: Any
+) -> Path:
     """Starts or continues a run, and writes its agent at the end.
 
     Args:
@@ -146,6 +148,7 @@ def run(algorithm: str, folder: Path, task: str, kart_steps: int, seed: int) -> 
         task: name of the task.
         kart_steps: number of kart-steps to learn from.
         seed: seed of all random numbers.
+        **changes: other fields of :class:`TaskArguments` that differ from their defaults.
 
     Returns:
         The folder of the agent.
@@ -155,7 +158,7 @@ def run(algorithm: str, folder: Path, task: str, kart_steps: int, seed: int) -> 
     """
     check_whole("kart_steps", kart_steps, 1)
     arguments = TaskArguments(
-        algorithm=algorithm, task=task, seed=seed, anneal_timesteps=kart_steps
+        algorithm=algorithm, task=task, seed=seed, anneal_timesteps=kart_steps, **changes
     )
     if _ALGORITHMS[algorithm][0] != NOBODY:
         arguments = replace(arguments, keep_every=max(kart_steps // _POOL_SIZE, 1))
