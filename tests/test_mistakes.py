@@ -245,7 +245,7 @@ CALLS = [
     (lambda: find_driver(None), "a driver is None, expected a name such as 'ai' or a path"),
     (lambda: run_race([3]), "a driver is 3, expected a name such as 'ai' or a path"),
     (lambda: run_tournament(None, output="x"), "agents is None, expected a list"),
-    (lambda: find_task("solo"), "unknown task 'solo'. Known: selfplay-5, solo-general"),
+    (lambda: find_task("solo"), "unknown task 'solo'. Did you mean 'solo-general'?"),
     (lambda: stkzoo.MonoAgentWrapperAdapter(make(), {}).step({}), "step() before reset()"),
     (
         lambda: stkzoo.MonoAgentWrapperAdapter(gymnasium.make("supertuxkart/simple-v0"), {}),
