@@ -24,6 +24,7 @@ from rich.console import Console
 
 from benchmarks.common import RESULTS, host_facts, parser
 from stkzoo._os import write_text
+from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.suite import algorithms
 from stkzoo.evaluation import run_benchmark
@@ -63,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         if name in CANDIDATES:
             changes, run = CANDIDATES[name], (options.task, options.kart_steps, options.seed)
             algorithms.run("ippo", folder, *run, **changes)
-            policy = max(folder.glob("policy-*.safetensors"))
+            policy = newest_policy(str(folder))
             agents = {"sampled": str(folder / "agent"), "argmax": str(folder / "agent-argmax")}
             export_policy(policy, "argmax", agents["argmax"])
         figures = {

@@ -32,6 +32,7 @@ from rich.console import Console
 
 from benchmarks.common import RESULTS, parser
 from stkzoo._os import file_digest, write_text, write_whole
+from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
@@ -108,7 +109,7 @@ def _evaluate(folder: Path, task: str, algorithm: str, jobs: int | None) -> str:
         entry = evaluate(task, agent, split=split, output=output, jobs=jobs, plot=False)
         scores.append(f"{entry.score} on the {split} tracks")
     for variant, changes in _VARIANTS.items() if algorithm == "ippo" else ():
-        name, policy = f"{algorithm}_{variant}", max(folder.glob("policy-*.safetensors"))
+        name, policy = f"{algorithm}_{variant}", newest_policy(str(folder))
         other = export_policy(
             policy, name, folder / f"agent-{variant}", **{"samples": True} | changes
         )

@@ -455,7 +455,7 @@ def observe_standing(
         race_length: length of the race [m].
         who: ``(n,)`` indices of karts.
         rows: ``(n,)`` row of each kart.
-        out: ``(N, F)``, of which ``STANDING_SIZE`` columns are written.
+        out: ``(N, F)``; ``STANDING_SIZE`` of its columns are written.
         column: the first of them.
 
     Raises:

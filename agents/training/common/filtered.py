@@ -53,7 +53,7 @@ class FilteredVectorEnv(VectorWrapper):
         views, rewards, terminations, truncations, infos = self.races.step_wait()
         ended = terminations | truncations
         slots = np.flatnonzero(ended).tolist()
-        last = np.array(views)
+        last = views.copy() if slots else views
         for slot in slots:
             last[slot] = infos["final_obs"][slot]
         seen = self.action_filter.look(self._mirrored(last))

@@ -174,11 +174,6 @@ class ActorCritic(ABC):
         for name in ("mean", "scale", "returns"):
             setattr(self, name, state[name].numpy())
 
-    def _normalize(self, rows: FloatArray, first: int) -> None:
-        """Fits the normalization of the value network's inputs from a column on to rows."""
-        self.mean[first:] = rows.mean(axis=0)
-        self.scale[first:] = 1.0 / np.maximum(rows.std(axis=0), _LEAST_SCALE)
-
     def _arrays(self, layers: Any) -> dict[str, FloatArray]:
         """Returns layers in the form of :class:`~stkzoo.agents.pretrained.policy.Network`."""
         arrays = {"mean": self.mean.copy(), "scale": self.scale.copy()}
@@ -238,7 +233,9 @@ class PlanNetwork(ActorCritic):
         """Fits the normalization unless it is given, equal for a race and its mirror image."""
         if self._is_given:
             return False
-        self._normalize(np.concatenate([seen["inputs"], mirrored_inputs(seen["inputs"])]), 0)
+        rows = np.concatenate([seen["inputs"], mirrored_inputs(seen["inputs"])])
+        self.mean[:] = rows.mean(axis=0)
+        self.scale[:] = 1.0 / np.maximum(rows.std(axis=0), _LEAST_SCALE)
         return True
 
 

@@ -398,10 +398,10 @@ class GroupActor:
         A kart that has finished waits for its mates, whose rewards it shares.
         """
         ended = (finished | cut).reshape(self._waits.shape)
-        stops = self._racing.reshape(ended.shape) & ~ended  # drive on
-        drives_on = (stops.astype(int) @ self._is_mate) > 0
+        drives_on = self._racing.reshape(ended.shape) & ~ended
+        has_mate = (drives_on.astype(int) @ self._is_mate) > 0
         waited = self._waits | finished.reshape(ended.shape)
-        self._waits = waited & drives_on
+        self._waits = waited & has_mate
         return ((waited | ended) & ~self._waits).reshape(-1)
 
     def result(self, values: Network) -> RolloutResult:
