@@ -9,7 +9,7 @@ follow from the worth of the plans. An action is a choice among the plans; see :
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from stkzoo import Phase, RaceVectorEnv
@@ -45,6 +44,7 @@ from .driver import (
     mirrored_prior,
 )
 from .memory import LINE_MARKS
+from .mirrored import MirroredRaces
 from .parameters import DriverParameters
 
 if TYPE_CHECKING:
@@ -304,7 +304,7 @@ class PlanChoices(gym.Wrapper[Any, Any, Any, Any]):
 # ---------------------------------------------------------------------- all karts of many races
 
 
-class PlanVectorEnv(VectorWrapper):
+class PlanVectorEnv(MirroredRaces):
     """Races in which every agent chooses among its plans; see :class:`~stkzoo.RaceVectorEnv`.
 
     Observations and actions are those of :class:`PlanChoices`, one row per slot. ``infos`` has an
@@ -326,6 +326,8 @@ class PlanVectorEnv(VectorWrapper):
         ConfigError: an option is invalid.
     """
 
+    view: PlanView
+
     def __init__(
         self,
         num_races: int = 1,
@@ -335,33 +337,15 @@ class PlanVectorEnv(VectorWrapper):
         **options: Any,
     ) -> None:
         view = surroundings_view((parameters or DriverParameters()).racing_line)
-        self.races = RaceVectorEnv(num_races, view=view, **options)
-        super().__init__(self.races)
-        self.view, self._mirror_share = PlanView(self.num_envs, parameters), mirror_share
+        races = RaceVectorEnv(num_races, view=view, **options)
+        super().__init__(races, PlanView(races.num_envs, parameters), mirror_share)
         self.single_observation_space = OBSERVATION_SPACE
         self.single_action_space = spaces.MultiDiscrete(list(CHOICES))
         self.observation_space = batch_space(OBSERVATION_SPACE, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._random = np.random.default_rng()
-
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
-    ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-        """Starts a new race in every environment; see :meth:`stkzoo.RaceVectorEnv.reset`."""
-        seen, infos = self.races.reset(seed=seed, options=options)
-        if seed is not None:
-            numbers = seed if isinstance(seed, Sequence) else [seed]
-            self._random = np.random.default_rng([n for n in numbers if n is not None] or None)
-        self._begin(np.arange(self.num_envs))
-        return self.view.observe(seen, advances=False), infos
-
-    def step(self, actions: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Advances all races by one step with choices ``(num_envs, 4)``."""
-        self.step_async(actions)
-        return self.step_wait()
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Starts a step of all races and returns before it is done."""
+        """Starts a step of all races with choices ``(num_envs, 4)``."""
         controls, applies = self.view.drive(actions)
         self.send_controls(controls)
         self._applies = applies
@@ -373,29 +357,6 @@ class PlanVectorEnv(VectorWrapper):
 
     def step_wait(self) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Waits for the step and returns its result; see :meth:`step`."""
-        seen, rewards, terminations, truncations, infos = self.races.step_wait()
-        ended = terminations | truncations
-        slots = np.flatnonzero(ended).tolist()
-        last = {key: np.array(rows) for key, rows in seen.items()} if slots else seen
-        for slot in slots:
-            for key, value in infos["final_obs"][slot].items():
-                last[key][slot] = value
-        observations = self.view.observe(last)
-        for slot in slots:
-            infos["final_obs"][slot] = {key: rows[slot] for key, rows in observations.items()}
-        begun = begun_slots(self.races, ended)
-        if len(begun):
-            self._begin(begun)
-            observations = self.view.observe(seen, advances=False)
+        *result, infos = super().step_wait()
         infos["applies"], infos["_applies"] = self._applies, np.ones(self.num_envs, np.bool_)
-        return observations, rewards, terminations, truncations, infos
-
-    def _begin(self, slots: IntArray) -> None:
-        self.view.begin(slots, self._random.random(len(slots)) < self._mirror_share)
-
-
-def begun_slots(races: RaceVectorEnv, ended: BoolArray) -> IntArray:
-    """Returns the slots whose race began in a step in which some slots ended."""
-    by_race = races.num_races, races.num_agents
-    begins = ended.reshape(by_race).any(axis=1) & races.racing.reshape(by_race).all(axis=1)
-    return np.flatnonzero(np.repeat(begins, by_race[1]))
+        return (*result, infos)

@@ -7,10 +7,11 @@ import pytest
 
 from stkzoo import RaceVectorEnv
 from stkzoo.agents.planning.memory import MEMORY_MIRROR, MEMORY_SIZE
+from stkzoo.agents.planning.mirrored import MirroredRaces
 from stkzoo.agents.pretrained.policy import Network
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
-from stkzoo.agents.training.common.filtered import FilteredVectorEnv
+from stkzoo.agents.training.common.filtered import FilteredView
 from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.agents.training.ppo.opponents import Matchmaker
 from stkzoo.agents.training.ppo.rollouts import ActorArguments, RaceActor, values_of
@@ -163,23 +164,25 @@ def test_a_mirrored_kart_sees_and_drives_the_mirror_image():
     options = {"num_kart": 3, "agents": 2, "track": "lighthouse", "view": "contest"}
     with ExitStack() as resources:
         plain, mirrored = (
-            resources.enter_context(
-                closing(FilteredVectorEnv(RaceVectorEnv(1, **options, max_cycles=25), 11))
+            MirroredRaces(
+                resources.enter_context(closing(RaceVectorEnv(1, **options, max_cycles=25))),
+                FilteredView(2, 11),
+                share,
             )
-            for _ in range(2)
+            for share in (0.0, 1.0)
         )
         plain.reset(seed=4), mirrored.reset(seed=4)
         random = np.random.default_rng(0)
         for _ in range(60):
-            plain._is_mirrored[:], mirrored._is_mirrored[:] = False, True
             choices = np.column_stack([random.integers(0, n, 2) for n in (21, 2, 2, 2, 2)])
             image = choices.copy()
             image[:, 0] = 20 - choices[:, 0]
             plain.step_async(choices), mirrored.step_async(image)
             seen, *_, infos = plain.step_wait()
             other, *_, other_infos = mirrored.step_wait()
-            if "final_obs" in infos:  # a new race draws which karts are mirrored
-                seen, other = (np.stack(i["final_obs"]) for i in (infos, other_infos))
+            if "final_obs" in infos:
+                last, other_last = (np.stack(i["final_obs"]) for i in (infos, other_infos))
+                np.testing.assert_allclose(other_last, last * mirror, atol=1e-6)
             np.testing.assert_allclose(other, seen * mirror, atol=1e-6)
 
 

@@ -1,73 +1,41 @@
-"""Races whose agents act through the action filter, as one batch."""
+"""The action filter as a view of many karts."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
-from gymnasium.vector import VectorWrapper
 
-from stkzoo import RaceVectorEnv
-from stkzoo.agents.planning import FloatArray, IntArray
-from stkzoo.agents.planning.view import begun_slots
+from stkzoo.agents.planning import BoolArray, FloatArray, IntArray
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.wrappers.racing import CHOICES, CONTEST_MIRROR
 
 
-class FilteredVectorEnv(VectorWrapper):
-    """Races whose agents act through an :class:`ActionFilter` and observe its memory.
+class FilteredView:
+    """What karts in the view ``contest`` see and do through an :class:`ActionFilter`.
 
-    Half of the slots, drawn for each race, observe and act with left and right swapped.
+    Observations get :data:`~stkzoo.agents.planning.memory.MEMORY_SIZE` more columns. The methods
+    are those of :class:`~stkzoo.agents.planning.mirrored.MemoryView`.
 
     Args:
-        envs: races in the view ``contest``. Observations get
-            :data:`~stkzoo.agents.planning.memory.MEMORY_SIZE` more columns.
+        count: number of karts.
         hold: minimum steps of a drift.
-
-    Attributes:
-        races: the races.
-        action_filter: the filter of all slots.
     """
 
-    def __init__(self, envs: RaceVectorEnv, hold: int) -> None:
-        super().__init__(envs)
-        self.races, self.action_filter = envs, ActionFilter(self.num_envs, hold)
-        self._is_mirrored = np.zeros(self.num_envs, np.bool_)
+    def __init__(self, count: int, hold: int) -> None:
+        self._filter = ActionFilter(count, hold)
+        self._is_mirrored = np.zeros(count, np.bool_)
 
-    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[FloatArray, dict[str, Any]]:
-        """Starts new races; see :meth:`stkzoo.RaceVectorEnv.reset`."""
-        views, infos = self.races.reset(seed=seed, options=options)
-        self._random = np.random.default_rng(seed)
-        self._begin(np.arange(self.num_envs))
-        return self.action_filter.see(self._mirrored(views)), infos
+    def begin(self, rows: IntArray, is_mirrored: BoolArray) -> None:
+        """Empties the memory of some karts, whose race begins."""
+        self._filter.forget(rows)
+        self._is_mirrored[rows] = is_mirrored
 
-    def step_async(self, choices: npt.NDArray[Any]) -> None:
-        """Starts a step of all races with choices ``(num_envs, 5)``."""
-        done = self.action_filter.apply(choices)
+    def observe(self, seen: FloatArray, *, advances: bool = True) -> FloatArray:
+        """Returns the inputs of a policy, ``(karts, F + 12)``."""
+        views = np.where(self._is_mirrored[:, None], seen * CONTEST_MIRROR, seen)
+        return (self._filter.look if advances else self._filter.see)(views)
+
+    def drive(self, choices: IntArray) -> IntArray:
+        """Returns filtered choices ``(karts, 5)``."""
+        done = self._filter.apply(choices)
         done[self._is_mirrored, 0] = CHOICES[0] - 1 - done[self._is_mirrored, 0]
-        self.races.step_async(done)
-
-    def step_wait(self) -> tuple[FloatArray, Any, Any, Any, dict[str, Any]]:
-        """Waits for the step and returns its result; see :meth:`stkzoo.RaceVectorEnv.step`."""
-        views, rewards, terminations, truncations, infos = self.races.step_wait()
-        ended = terminations | truncations
-        slots = np.flatnonzero(ended).tolist()
-        last = views.copy() if slots else views
-        for slot in slots:
-            last[slot] = infos["final_obs"][slot]
-        seen = self.action_filter.look(self._mirrored(last))
-        for slot in slots:
-            infos["final_obs"][slot] = seen[slot]
-        begun = begun_slots(self.races, ended)
-        if len(begun):
-            self._begin(begun)
-            seen = self.action_filter.see(self._mirrored(views))
-        return seen, rewards, terminations, truncations, infos
-
-    def _begin(self, slots: IntArray) -> None:
-        self.action_filter.forget(slots)
-        self._is_mirrored[slots] = self._random.random(len(slots)) < 0.5
-
-    def _mirrored(self, views: FloatArray) -> FloatArray:
-        return np.where(self._is_mirrored[:, None], views * CONTEST_MIRROR, views)
+        return done

@@ -81,6 +81,7 @@ class LabelledRaces:
         self.races, self.ratios, self.finished = races, list[float](), 0
         self._plans = RacingPolicy.of_plans_alone()
         self._action_filter = ActionFilter(races.num_envs, _HOLD, races.view.driver.memory)
+        self._observations: dict[str, Numbers]
         self._observations, _ = races.reset(seed=seed)
 
     @property

@@ -15,6 +15,7 @@ from stkzoo._schema import Place
 from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import CHOICES as PLAN_CHOICES
 from stkzoo.agents.planning.driver import INPUT_SIZE
+from stkzoo.agents.planning.mirrored import MirroredRaces
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
@@ -23,7 +24,7 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, PLACES, SIZE
 
 from ..common.actors import SharedArray
-from ..common.filtered import FilteredVectorEnv
+from ..common.filtered import FilteredView
 from ..common.matches import ai_time
 from .opponents import Odds, RivalSeats, draw_opponent
 
@@ -32,7 +33,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 #: Columns of the views ``racing`` and ``contest`` with the kart's own state, and of its rank.
 _OWN, _RANK = slice(0, PLACES["line_position"].start), SIZE
-#: Share of the karts that observe and act with left and right swapped, if policies choose plans.
+#: Share of the karts that observe and act with left and right swapped, except without a filter.
 _MIRROR_SHARE = 0.5
 
 
@@ -321,8 +322,10 @@ class GroupActor:
         self.slots, self._group, self._arguments = slots, group, arguments
         if arguments.plans is None:
             races = RaceVectorEnv(group.num_races, **group.options)
-            hold = arguments.hold
-            self.envs: Any = races if hold is None else FilteredVectorEnv(races, hold)
+            self.envs: Any = races
+            if arguments.hold is not None:
+                view = FilteredView(races.num_envs, arguments.hold)
+                self.envs = MirroredRaces(races, view, _MIRROR_SHARE)
         else:
             self.envs = PlanVectorEnv(
                 group.num_races,
