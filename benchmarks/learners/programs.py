@@ -171,7 +171,7 @@ def pytorch(karts: int, races: int, number: int, track: str, iterations: int) ->
     class Races(stkzoo.RaceVectorEnv):
         """A group of races; the first one records the times and counts at each rollout's start."""
 
-        def __init__(self, count: int, **options: Any) -> None:
+        def __init__(self, _: int, **options: Any) -> None:
             race = {"num_kart": karts, "track": track, "max_cycles": _MAX_CYCLES, "num_starts": 32}
             super().__init__(races // 2, **options | race)
             self.step_async = meter.timed("observing", super().step_async)  # type: ignore[method-assign]

@@ -32,8 +32,8 @@ _NAMESPACE = "stkzoo-suite"
 #: time ratios use the AI's times at this difficulty in all races.
 DIFFICULTY = 3
 #: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of
-#: learners of their tasks: self-play needs two.
-ALGORITHMS = {"ippo": 1, "mappo": 2, "pfsp": 2}
+#: learners of their tasks: self-play needs two. ``blind`` also needs teams.
+ALGORITHMS = {"ippo": 1, "mappo": 2, "pfsp": 2, "blind": 2}
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 
@@ -215,7 +215,7 @@ def can_learn(algorithm: str, task: Task) -> bool:
     """
     if algorithm not in ALGORITHMS:
         return True
-    return task.learners >= ALGORITHMS[algorithm]
+    return task.learners >= ALGORITHMS[algorithm] and (algorithm != "blind" or bool(task.teams))
 
 
 # ------------------------------------------------------------------ ids

@@ -111,11 +111,13 @@ def test_an_interrupted_run_loses_the_policies_after_its_checkpoint(tmp_path):
 
 def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
     actor, rollout, network = actor_of(tmp_path, "mappo", "team-2v2", 40)
+    blind, blind_rollout, blind_network = actor_of(tmp_path, "blind", "team-2v2", 1)
     try:
-        actor.begin([5])
+        actor.begin([5]), blind.begin([5])
         driven = actor.drive(0, *network.weights(), {})
+        blind.drive(0, *blind_network.weights(), {})
     finally:
-        actor.close()
+        actor.close(), blind.close()
     assert rollout["active"].all()
     size, own = CONTEST_SIZE + MEMORY_SIZE, PLACES["line_position"].start
     others, ranks = rollout["state"].reshape(40, 4, 3, own), rollout["inputs"][..., SIZE]
@@ -124,8 +126,12 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
         seen = rollout["inputs"][step, [mate, *rivals], :own]
         assert (others[step, slot] == seen).all()
     assert rollout["inputs"].shape[2] == size
-    mates = rollout["inputs"][..., -MEMORY_SIZE - 36 : -MEMORY_SIZE].reshape(40, 4, 4, 9)[..., 8]
-    assert (mates.sum(axis=2) == 1).all()
+    flags = np.s_[CONTEST_SIZE - 28 : CONTEST_SIZE : 9]
+    assert (rollout["inputs"][..., flags].sum(axis=2) == 1).all()
+    assert not blind_rollout["inputs"][..., flags].any()
+    first = blind_network.policy_weights()["mlp_extractor.policy_net.0.weight"]
+    assert not first[:, flags].any()
+    assert first[:, flags.start - 1].any()
     assert not rollout["ended"].any()
     assert driven.finishes == []
     assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 1]).all()
@@ -223,7 +229,7 @@ def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
 
 
 def test_self_play_is_refused_for_one_learner(tmp_path):
-    with pytest.raises(ConfigError, match="solo-general has one learner, and pfsp needs several"):
+    with pytest.raises(ConfigError, match="pfsp needs several learners, which solo-general"):
         small_run(tmp_path, "pfsp")
 
 

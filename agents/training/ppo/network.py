@@ -250,6 +250,7 @@ class RacingNetwork(ActorCritic):
         inputs: number of the policy's inputs, perhaps with the memory of the action filter.
         num_mates: number of other learners whose own state the value network sees too.
         hold: minimum steps of a drift, for files.
+        unseen: inputs of the policy that must be 0 in training. The policy ignores them.
     """
 
     activation = "Tanh"
@@ -261,10 +262,12 @@ class RacingNetwork(ActorCritic):
         inputs: int = SIZE,
         num_mates: int = 0,
         hold: int = 0,
+        unseen: Sequence[int] = (),
     ) -> None:
         super().__init__(racing_shape(inputs, num_mates), hidden, seed)
         self._hold = hold
         with self.torch.no_grad():
+            self.policy[0].weight[:, list(unseen)] = 0.0
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
 

@@ -11,6 +11,9 @@ stkzoo suite train versus ippo
   one of the teams or half of the karts (:mod:`stkzoo.agents.training.ppo.opponents`). Its
   kart-steps count too.
 
+- ``blind`` is ``ippo`` whose karts do not see which karts are mates, for comparison in tasks with
+  teams.
+
 All act through the action filter (:mod:`stkzoo.agents.pretrained.action_filter`): drifts last, and
 stuck karts free themselves. The policy observes the filter's memory.
 
@@ -31,7 +34,7 @@ from stkzoo._schema import Share
 from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.errors import ConfigError
 from stkzoo.suite import Task, can_learn, find_task
-from stkzoo.wrappers.racing import CONTEST_SIZE
+from stkzoo.wrappers.racing import CONTEST_SIZE, SIZE
 
 from ..common.arguments import BatchSize, Coefficient, Natural, RolloutArguments
 from ..export import export_policy
@@ -48,7 +51,10 @@ _ALGORITHMS = {
     "ippo": (NOBODY, False),
     "mappo": (NOBODY, True),
     "pfsp": (PRIORITIZED, False),
+    "blind": (NOBODY, False),
 }
+#: Inputs of the policy that mark mates among the four nearest karts.
+_MATE_FLAGS = tuple(range(SIZE + 12, CONTEST_SIZE, 9))
 #: Figures of the log to show.
 _SHOWN = ("return", "finished", "position", "entropy", "kl", "explained", "beaten")
 
@@ -97,7 +103,9 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
     opponents, sees_others = _ALGORITHMS.get(name, (NOBODY, False))
     _check_task(task, name)
     races = arguments.num_races or max(_LEARNERS // task.learners, 1)
-    places = task.places()
+    places, is_blind = task.places(), name == "blind"
+    if is_blind:
+        places = [[replace(spec, team=None) for spec in agents] for agents in places]
     shares = {None: 1 - arguments.random_starts, "random": arguments.random_starts}
     groups = [
         ActorRaces(
@@ -119,7 +127,13 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
     num_mates = task.learners - 1 if sees_others else 0
     inputs = CONTEST_SIZE + MEMORY_SIZE
     network = partial(
-        RacingNetwork, arguments.hidden, arguments.seed, inputs, num_mates, arguments.hold
+        RacingNetwork,
+        arguments.hidden,
+        arguments.seed,
+        inputs,
+        num_mates,
+        arguments.hold,
+        _MATE_FLAGS if is_blind else (),
     )
     return PPOSetup(
         groups=tuple(groups),
@@ -132,8 +146,8 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
 def _check_task(task: Task, algorithm: str) -> None:
     if algorithm in _ALGORITHMS and not can_learn(algorithm, task):
         raise ConfigError(
-            f"{task.name} has one learner, and {algorithm} needs several; use ippo, which is the "
-            "same for one learner"
+            f"{algorithm} needs {'teams' if algorithm == 'blind' else 'several learners'}, which "
+            f"{task.name} does not have; use ippo, which is the same there"
         )
 
 
