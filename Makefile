@@ -57,7 +57,7 @@ test-lowest:
 	$(PYTHON) -m venv build/uv
 	build/uv/bin/python -m pip install --quiet uv
 	build/uv/bin/uv pip compile --quiet --resolution lowest-direct --python $$(command -v $(PYTHON)) \
-		--extra dev --extra sb3 --output-file build/lowest.txt pyproject.toml
+		--extra all --group dev --output-file build/lowest.txt pyproject.toml
 	PIP_CONSTRAINT=$(CURDIR)/build/lowest.txt $(MAKE) VENV=build/lowest TORCH=torch \
 		ARGS="-W ignore::DeprecationWarning" test-fast
 
@@ -232,10 +232,12 @@ $(VENV)/.torch: $(VENV)/.core
 	$(PIP) install --quiet $(TORCH)
 	@touch $@
 
+# Debian's pip is too old for dependency groups.
 $(VENV)/.dev: $(VENV)/.core $(VENV)/.torch pyproject.toml
-	$(PIP) install --quiet --editable '.[dev,sb3]'
+	$(PIP) install --quiet 'pip>=25.1'
+	$(PIP) install --quiet --editable '.[all]' --group dev
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev pyproject.toml
-	$(PIP) install --quiet --editable '.[docs]'
+	$(PIP) install --quiet --group docs
 	@touch $@

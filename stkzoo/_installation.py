@@ -1,8 +1,4 @@
-"""The installation of this copy of stkzoo, and the command that adds an extra to it.
-
-stkzoo is not on a package index yet, so pip cannot find its extras by name. The command names their
-libraries.
-"""
+"""The installation of this copy of stkzoo, and the command that adds an extra to it."""
 
 from __future__ import annotations
 
@@ -67,11 +63,12 @@ def _numbers(version: str) -> list[int]:
 def install_command(extra: str) -> str:
     """Returns the command that installs the libraries of an extra of stkzoo.
 
+    pip takes their names from the installed copy, so no package index needs to have stkzoo.
+
     Args:
-        extra: name of the extra, such as ``"sb3"``.
+        extra: name of the extra, such as ``"sb3"``; empty for the libraries that stkzoo requires.
     """
-    libraries = _libraries(extra) or [f"stkzoo[{extra}]"]
-    return pip_install(" ".join(f'"{name}"' for name in libraries))
+    return pip_install(f'"stkzoo[{extra}]"' if extra else "stkzoo")
 
 
 def pip_install(arguments: str) -> str:
@@ -123,13 +120,3 @@ def _installed() -> metadata.Distribution | None:
     distributions = list(metadata.distributions(name="stkzoo"))
     by_pip = (package for package in distributions if package.read_text("INSTALLER"))
     return next(by_pip, distributions[0] if distributions else None)
-
-
-def _libraries(extra: str) -> list[str]:
-    """Returns the requirements of an extra, including those of the extras that it names."""
-    libraries: dict[str, None] = {}
-    for requirement in requirements().get(extra, ()):
-        inner = re.fullmatch(r"stkzoo\[([\w,-]+)\]", requirement)
-        names = [n for e in inner[1].split(",") for n in _libraries(e)] if inner else [requirement]
-        libraries.update(dict.fromkeys(names))
-    return list(libraries)

@@ -27,10 +27,10 @@ SOURCES = ROOT / "examples" / "tutorials"
 PAGES = ROOT / "docs" / "tutorials"
 #: Extras of stkzoo that each tutorial needs.
 EXTRAS = {
-    "first_race": "record,tournament",
-    "plan_with_saved_states": "tournament",
-    "self_play_and_ratings": "sb3,tournament",
-    "train_a_driver": "record,sb3,tournament",
+    "first_race": "races",
+    "plan_with_saved_states": "races",
+    "self_play_and_ratings": "sb3,races",
+    "train_a_driver": "sb3,races",
 }
 _BADGE = """\
 [![Open in Colab](../_static/colab.svg)](https://colab.research.google.com/github/{path}/blob/main/docs/tutorials/{name}.ipynb)

@@ -11,7 +11,7 @@
 #
 # A policy that races against itself always meets rivals of its own strength. Train such a policy, save a
 # copy (a *generation*) after each stage, and run a tournament to see whether later generations are
-# better. This takes about five minutes and needs the extra `tutorials`: see
+# better. This takes about five minutes and needs the extras `sb3` and `races`: see
 # [Install](../how-to/install.md).
 
 # %%

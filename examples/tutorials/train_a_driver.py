@@ -10,8 +10,8 @@
 # # Train a driver
 #
 # Train a policy with PPO from Stable-Baselines3 for about five minutes. It learns to finish a lap of
-# lighthouse faster than the game's easiest AI. Then save it as an agent and race it. You need the extra
-# `tutorials`: see [Install](../how-to/install.md).
+# lighthouse faster than the game's easiest AI. Then save it as an agent and race it. You need the extras
+# `sb3` and `races`: see [Install](../how-to/install.md).
 
 # %%
 import os

@@ -37,7 +37,7 @@ def run(arguments: CompletionArguments) -> int:
     """Prints the completion script."""
     from stkzoo.cli import build_parser
 
-    shtab = import_extra("shtab", "completion needs", "completion")
+    shtab = import_extra("shtab", "completion needs", "races")
     parser = build_parser()
     _complete_files(parser, shtab.FILE)
     print(shtab.complete(parser, shell=arguments.shell))

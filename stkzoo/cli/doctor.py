@@ -137,10 +137,10 @@ def _diagnose() -> Iterator[dict[str, Any]]:
         ("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
         ("3D graphics", _graphics, f"sudo apt install {GRAPHICS_PACKAGES}"),
         ("display", _display, "run in a graphical session, or under xvfb-run"),
-        ("ffmpeg", _ffmpeg, install_command("record")),
+        ("ffmpeg", _ffmpeg, install_command("races")),
     ]
     for extra, texts in extras:
-        if extra not in ("all", "dev", "docs"):
+        if extra != "all":
             check = partial(_libraries, texts)
             checks.append((f"extra [{extra}]", check, install_command(extra)))
     for name, find, remedy in checks:

@@ -30,17 +30,16 @@ _FALLBACK_FONTS = (
 )
 
 
-def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
+def require_matplotlib(alternative: str = "") -> Any:
     """Imports ``matplotlib.figure``.
 
     Args:
-        extra: name of the package's extra that installs matplotlib.
         alternative: alternative in the error text, such as ``"or pass --no-plot"``.
 
     Raises:
         ConfigError: matplotlib is not installed.
     """
-    return import_extra("matplotlib.figure", "the plot needs", extra, alternative)
+    return import_extra("matplotlib.figure", "the plot needs", "races", alternative)
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -111,7 +110,7 @@ def shorten(label: str) -> str:
 
 def _fallback_fonts() -> list[str]:
     """Returns the installed fonts among :data:`_FALLBACK_FONTS`."""
-    manager = import_extra("matplotlib.font_manager", "the plot needs", "benchmark")
+    manager = import_extra("matplotlib.font_manager", "the plot needs", "races")
     installed = {*manager.get_font_names()}
     return [name for name in _FALLBACK_FONTS if name in installed]
 
@@ -129,7 +128,7 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     file = Path(path)
     ending = file.suffix[1:] or "png"
     metadata = {"Date": None} if ending == "svg" else None
-    matplotlib = import_extra("matplotlib", "the plot needs", "benchmark")
+    matplotlib = import_extra("matplotlib", "the plot needs", "races")
     fixed_ids = matplotlib.rc_context({"svg.hashsalt": "stkzoo"})
     for text in figure.findobj(matplotlib.text.Text):
         if "$" in text.get_text():  # a name of an agent, not a formula

@@ -51,7 +51,7 @@ def require_openskill() -> Any:
     Raises:
         ConfigError: openskill is not installed.
     """
-    return import_extra("openskill.models", "ratings need", "tournament")
+    return import_extra("openskill.models", "ratings need", "races")
 
 
 def rate(

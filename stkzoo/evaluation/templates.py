@@ -8,16 +8,13 @@ from typing import Any
 from stkzoo._imports import import_extra
 
 
-def require_jinja2(extra: str = "tournament") -> Any:
+def require_jinja2() -> Any:
     """Imports ``jinja2``.
-
-    Args:
-        extra: name of the package's extra that installs it.
 
     Raises:
         ConfigError: Jinja is not installed.
     """
-    return import_extra("jinja2", "the report needs", extra)
+    return import_extra("jinja2", "the report needs", "races")
 
 
 def render(file: Path, **values: Any) -> str:

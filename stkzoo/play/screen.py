@@ -117,7 +117,7 @@ def _load_pygame() -> Any:
         ConfigError: pygame is not installed, or there is no display.
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    pygame = import_extra("pygame", "the window needs", "play")
+    pygame = import_extra("pygame", "the window needs", "races")
     if not os.environ.get("SDL_VIDEODRIVER"):  # tests choose one that opens no window
         check_display(_NEED)
     return pygame

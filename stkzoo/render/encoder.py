@@ -77,7 +77,7 @@ def find_ffmpeg() -> str:
         if system_ffmpeg is None:
             raise ConfigError(
                 "videos need ffmpeg, which is not installed or does not run: "
-                + install_command("record")
+                + install_command("races")
             ) from None
         return system_ffmpeg
 

@@ -28,7 +28,7 @@ def pillow() -> Any:
         ConfigError: Pillow is not installed.
     """
     for name in ("Image", "ImageDraw", "ImageFont"):
-        import_extra(f"PIL.{name}", "drawing needs", "record")
+        import_extra(f"PIL.{name}", "drawing needs", "races")
     return sys.modules["PIL"]
 
 

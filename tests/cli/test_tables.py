@@ -91,7 +91,7 @@ def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
 def test_without_shtab_the_remedy_is_shown(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 2
-    assert install_command("completion") in capsys.readouterr().err
+    assert install_command("races") in capsys.readouterr().err
 
 
 def shown(monkeypatch, width, columns, rows, **options):

@@ -75,7 +75,7 @@ PARSED = {
 
 OTHER_PROGRAMS = [
     *("pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard", "conda"),
-    "export",
+    *("export", "uv", "jupyter"),
 ]
 
 

@@ -137,7 +137,7 @@ def test_better_agents_are_rated_better():
 @pytest.mark.parametrize("module", ["openskill.models", "jinja2"])
 def test_a_missing_library_is_an_error_before_the_first_race(module, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ConfigError, match=re.escape(install_command("tournament"))):
+    with pytest.raises(ConfigError, match=re.escape(install_command("races"))):
         run_tournament(["ai", "random"], output=tmp_path / "cup", races=1)
     assert not (tmp_path / "cup").exists()
 

@@ -325,7 +325,7 @@ def test_without_pygame_it_names_the_extra():
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
     )
-    assert install_command("play") in done.stderr
+    assert install_command("races") in done.stderr
     assert "ConfigError" in done.stderr
 
 

@@ -226,8 +226,7 @@ def test_a_missing_library_is_named(runs, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main(["suite", "report", str(runs), "--output", str(tmp_path / "report")]) == 2
     assert (
-        "the plot needs matplotlib (extra report), which is not installed"
-        in capsys.readouterr().err
+        "the plot needs matplotlib (extra races), which is not installed" in capsys.readouterr().err
     )
 
 

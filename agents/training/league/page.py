@@ -74,7 +74,7 @@ def _chart(members: Sequence[LeagueMember], ratings: Mapping[str, Sequence[float
     text = io.StringIO()
     # Keeps the page of the same league identical.
     settings = {"svg.fonttype": "none", "svg.hashsalt": "league"}
-    with import_extra("matplotlib", "the page needs", "tournament").rc_context(settings):
+    with import_extra("matplotlib", "the page needs", "races").rc_context(settings):
         figure = rating_figure(curves, levels)
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     chart = text.getvalue()

@@ -44,7 +44,7 @@ def zmq_module() -> Any:
     Raises:
         ConfigError: pyzmq is not installed.
     """
-    return import_extra("zmq", "networked races need", "remote")
+    return import_extra("zmq", "networked races need", "races")
 
 
 def full_address(text: str) -> str:

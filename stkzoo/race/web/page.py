@@ -48,7 +48,7 @@ class RaceBroadcast:
         paused: bool = False,
     ) -> None:
         check_whole("port", port, 0, 65535)
-        import_extra("aiohttp", "the live page needs", "web")
+        import_extra("aiohttp", "the live page needs", "races")
         from stkzoo.race.web.server import LiveServer
 
         self.control = RaceControl(speed, paused=paused)

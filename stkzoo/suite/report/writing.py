@@ -284,8 +284,8 @@ def write_suite_report(
         EntryRefused: an entry is incomplete, or a replay or a number is not that of the entry.
     """
     folder = Path(output)
-    require_matplotlib("report")
-    require_jinja2("report")
+    require_matplotlib()
+    require_jinja2()
     runs = load_runs(paths)
     report = make_report(runs)
     make_folder(folder, "report")

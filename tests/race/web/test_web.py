@@ -93,7 +93,7 @@ def test_the_error_without_aiohttp_names_the_extra():
         from stkzoo.race.web import LivePage
         LivePage(port=0)
     """)
-    assert install_command("web") in program.stderr
+    assert install_command("races") in program.stderr
 
 
 def test_closing_frees_the_port_and_the_thread():
