@@ -129,7 +129,8 @@ if len(curve.speeds) > 20:
 # ## Before and after
 #
 # Race both policies over a whole lap, from the grid, against the game's easiest AI and a driver that
-# takes random actions. The policy met neither in training.
+# takes random actions. The policy met neither in training. `difficulty=0` also slows all karts down:
+# compare times only at the same [difficulty](../reference/environment.md#difficulty).
 
 # %%
 trained = save_agent(model, "my_driver", view="racing", name="Trained")

@@ -59,7 +59,7 @@ def show_race(result: RaceResult) -> None:
     way = described(result)
     say(
         f"{way}: {laps}, {result.race_length:.0f} m, "
-        f"AI difficulty {result.difficulty}, seed {result.seed}"
+        f"difficulty {result.difficulty}, seed {result.seed}"
     )
     styles = map(_style_of, result.agents)
     show_table(_RACE_COLUMNS, map(_race_cells, result.agents), styles=styles)

@@ -74,7 +74,7 @@ class BenchmarkArguments:
         baseline: measure the game's AI at all difficulties, for --ai-times
         split: names of tracks, or train, train_only, validation, test or all (default: test;
             with --time-trial or --baseline, all)
-        difficulty: difficulty of the game's AI, 0 to 3
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3
         forms: line-ups to race: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
         seeds: races of each track, direction, line-up and end of the grid (default: 5; with
             --time-trial, 1)
@@ -191,7 +191,7 @@ def show_results(results: Sequence[evaluation.BenchmarkResult]) -> None:
         interval = "with" if plan.seeds > 1 else "--seeds 2 or more gives"
         say(
             f"{result.label}: {len(result.races)} of {len(plan.races())} races on "
-            f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; {interval} "
+            f"{', '.join(plan.tracks)}; difficulty {plan.settings.difficulty}; {interval} "
             f"95% intervals{errors}."
         )
 

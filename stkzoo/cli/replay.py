@@ -108,7 +108,7 @@ def _verdict(replay: Replay, playback: Playback) -> str:
 def _show_info(replay: Replay) -> None:
     seconds = replay.steps * replay.step_size
     print(
-        f"{described(replay)}: laps {replay.laps}, AI difficulty {replay.difficulty}, "
+        f"{described(replay)}: laps {replay.laps}, difficulty {replay.difficulty}, "
         f"seed {replay.seed}"
     )
     print(f"{replay.steps} steps, {seconds:.1f} s of game time; it ended: {replay.status}")

@@ -38,7 +38,7 @@ class TracksArguments:
     Attributes:
         tracks: names of tracks, or train, train_only, validation, test or all (default: all)
         sort: sort order
-        difficulty: difficulty of the AI whose times are shown, 0 to 3
+        difficulty: difficulty of the races of the AI; it sets the speed of all karts, 0 to 3
         json: write JSON instead of a table
     """
 
@@ -68,7 +68,7 @@ def track_facts(track: str, difficulty: int) -> dict[str, Any]:
 
     Args:
         track: name of the track.
-        difficulty: level of the AI whose times are included, 0 to 3.
+        difficulty: difficulty of the races of the AI, 0 to 3.
 
     Returns:
         ``track``, its name; ``split``: ``"train"``, ``"validation"`` (also a training track) or

@@ -58,7 +58,7 @@ class RaceSetup(LeftOutNames):
         karts: the karts in grid order, first place first.
         laps: number of laps.
         reverse: whether karts drive the track in reverse.
-        difficulty: the game's difficulty, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         seed: seed of the engine.
         step_size: game time of one step [s].
         num_cameras: number of karts with a camera; the renderer uses it, the engine does not.

@@ -58,7 +58,7 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
         default_track: the requested track or tracks; ``None`` for any. You may set this and the
             following attributes, which are options of :class:`~stkzoo.env.parallel.RaceParallelEnv`
             too; the next reset applies them.
-        difficulty: level of the game's bots.
+        difficulty: skill of the game's bots and speed of all karts, 0 to 3.
         laps: number of laps.
         max_paths: number of observed track segments; ``None`` for all.
         step_size: game time of one step [s].

@@ -47,7 +47,7 @@ class RaceOptions:
             ``"train_only"``, ``"validation"`` or ``"test"`` for a track of that split
             (:mod:`stkzoo.tracks`).
         laps: number of laps.
-        difficulty: level of the game's bots, 0 (easiest) to 3 (hardest).
+        difficulty: skill of the game's bots and speed of all karts, 0 (lowest) to 3.
         reverse: drive the track in the opposite direction; ``None`` draws a direction at every
             reset.
         mode: ``"normal"``, or ``"time_trial"`` for the game's time trial: no item boxes,

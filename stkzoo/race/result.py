@@ -152,7 +152,7 @@ class RaceResult(Document):
         track: name of the track.
         reverse: whether the track was driven in reverse direction.
         laps: number of laps of the race.
-        difficulty: difficulty of the game's AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         seed: seed of the environment's reset; the same seed gives the same race.
         race_length: number of laps times the lap length [m].
         steps: number of environment steps.

@@ -41,7 +41,7 @@ class RaceSettings:
         track: name of a track, or train, train_only, validation, test or all to draw one
             (default: all)
         laps: number of laps
-        difficulty: difficulty of the game's AI, 0 to 3
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3
         reverse: drive in the other direction
         mode: normal, or the game's time trial, without item boxes and with one zipper per lap
         kart: kart model of all karts, as listed by `stkzoo karts` (default: the game's choice)

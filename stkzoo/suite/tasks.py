@@ -28,7 +28,7 @@ from stkzoo.wrappers.marl import Teams
 #: Name of the suite, with its version.
 SUITE = "stkzoo-suite-1"
 _NAMESPACE = "stkzoo-suite"
-#: Difficulty of the game's AI, where the population does not require another one. Time limits and
+#: Difficulty of the races, where the population does not require another one. Time limits and
 #: time ratios use the AI's times at this difficulty in all races.
 DIFFICULTY = 3
 #: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of

@@ -35,11 +35,13 @@ def parsers(parser, name="stkzoo"):
                 yield from parsers(child, f"{name} {word}")
 
 
-def test_the_help_of_each_command_fits_80_columns(monkeypatch):
+def test_the_help_of_each_command_fits_80_columns_and_says_what_a_difficulty_is(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     for name, parser in parsers(build_parser()):
-        lines = parser.format_help().splitlines()
-        assert max(map(len, lines)) <= 80, name
+        shown = parser.format_help()
+        assert max(map(len, shown.splitlines())) <= 80, name
+        if "--difficulty" in parser._option_string_actions:
+            assert "speed of all karts, 0 to 3" in " ".join(shown.split()), name
         assert len(parser.format_usage().splitlines()) <= 3, name
 
 

@@ -6,14 +6,7 @@ import jsonschema
 import pytest
 
 from stkzoo.errors import AgentError, ConfigError
-from stkzoo.race import (
-    AgentFailure,
-    Driver,
-    RaceListener,
-    RaceResult,
-    RaceSettings,
-    run_race,
-)
+from stkzoo.race import AgentFailure, Driver, RaceListener, RaceResult, RaceSettings, run_race
 from tests.support.paths import SCHEMAS
 from tests.support.remote_race import write_agent
 
@@ -50,6 +43,15 @@ def test_earlier_finishers_rank_better_and_others_are_unfinished(result):
 def test_the_same_seed_gives_the_same_race(result):
     again = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=3, max_steps=400)
     assert again == result
+
+
+@pytest.mark.slow
+def test_the_difficulty_changes_the_speed_of_agents_too():
+    race = {"track": "lighthouse", "seed": 1, "max_steps": 100}
+    results = [run_race(["heuristic"], difficulty=level, **race) for level in range(4)]
+    driven = [result.agents[0].distance for result in results]
+    assert driven == sorted(driven)
+    assert driven[3] > 1.2 * driven[0]
 
 
 @pytest.mark.slow

@@ -168,7 +168,7 @@ class Match:
         reverse: whether to drive it in reverse.
         number: number of the start: seed of the grid positions and of the game.
         bots: karts of the game's AI.
-        difficulty: difficulty of the game's AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
     """
 
     drivers: tuple[str, ...]

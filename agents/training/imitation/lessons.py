@@ -53,7 +53,8 @@ class ImitationArguments(NetworkArguments):
     Attributes:
         rounds: rounds in which the learner drives and learns.
         n_epochs_last: passes over all lessons in the last round.
-        difficulty: difficulty of the game's AI, whose times are the reference.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3; the AI's
+            times at it are the reference.
     """
 
     #: Fields that may change when a run continues.

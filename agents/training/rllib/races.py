@@ -52,7 +52,7 @@ class RLlibArguments(PPOArguments):
         envs_per_runner: parallel races in each env runner.
         address: address of a Ray cluster, or auto; empty starts Ray on this machine.
         tracks: names of tracks, or train, train_only, validation, test or all.
-        difficulty: difficulty of the game's AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         learners: karts of the policy that learns.
         frozen: karts of its past selves.
         bots: karts of the game's AI.

@@ -54,7 +54,7 @@ class _Start:
     Attributes:
         track: name of the track.
         reverse: whether it is driven in reverse.
-        difficulty: difficulty of the game's AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         is_from_grid: whether the karts start on the grid, not anywhere on the track.
         state: its moment, to copy.
     """

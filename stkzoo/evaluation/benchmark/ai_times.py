@@ -38,7 +38,7 @@ class AiTime:
     Attributes:
         track: name of the track.
         direction: ``"forward"`` or ``"reversed"``.
-        difficulty: level of the AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         median: median of all karts [s]; karts that did not finish count as slowest.
         best: shortest finish time [s].
         worst: longest finish time [s].
@@ -113,7 +113,7 @@ class AiTimes(Document):
         Args:
             track: name of the track.
             reverse: the direction.
-            difficulty: level of the AI.
+            difficulty: difficulty of the races.
 
         Raises:
             ConfigError: these times have not been measured.

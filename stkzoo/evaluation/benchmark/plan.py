@@ -192,7 +192,7 @@ def plan_benchmark(
         agent: the agent to measure: the name of a driver, the path of a folder or zip, or a module;
             append ``@:Name`` to rename it.
         split: name of a split (:data:`stkzoo.tracks.SPLITS`), or names of tracks.
-        difficulty: level of the game's AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         forms: race forms; ``"PAAAA"`` means one kart of the agent and four of the AI.
         seeds: number of races for each track, direction, form and end of the grid.
         reverse: the directions: ``False`` for forward, ``True`` for reversed.

@@ -238,7 +238,7 @@ def _title(results: Sequence[BenchmarkResult]) -> str:
     plan = results[0].plan
     who = results[0].label if len(results) == 1 else f"{len(results)} agents"
     races = max(len(result.races) for result in results)
-    return f"{who}: {races} races on {plan.split}, AI difficulty {plan.settings.difficulty}"
+    return f"{who}: {races} races on {plan.split}, difficulty {plan.settings.difficulty}"
 
 
 # ------------------------------------------------------------------ runs

@@ -57,7 +57,7 @@ class Replay:
         track: name of the track.
         reverse: whether the track was driven in reverse direction.
         laps: number of laps of the race.
-        difficulty: difficulty of the game's AI, 0 to 3.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         max_paths: number of track segments ahead in observations; ``None`` for all.
         step_size: game time of a step [s].
         seed: seed of the environment's reset.
