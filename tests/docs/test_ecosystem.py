@@ -12,13 +12,14 @@ from tests.support.views import marked
 EXAMPLES = ROOT / "examples" / "ecosystem"
 #: Examples that need only the tests' extras. ``python -m benchmarks.ecosystem`` runs all.
 HERE = ("gymnasium_vector", "supersuit_sb3", "sb3_ppo", "cleanrl_ppo")
+SHORTER = {"cleanrl_ppo": ["--total-steps", "1200"]}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", marked(HERE, ["sb3_ppo"]))
 def test_an_example_runs(script):
     done = subprocess.run(
-        [sys.executable, EXAMPLES / f"{script}.py"],
+        [sys.executable, EXAMPLES / f"{script}.py", *SHORTER.get(script, [])],
         capture_output=True,
         text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
