@@ -1,7 +1,7 @@
 """Create a starter agent.
 
 Writes a small commented driver to a new folder, as a starting point for your own, and a README.md
-with the next steps. The driver finishes easy tracks such as lighthouse. With a view other than
+with the next steps. The driver finishes a lap of each training track. With a view other than
 simple, its actions are random until you add a policy. Existing files are never overwritten.
 
 Examples:

@@ -192,7 +192,7 @@ def _view_of(env_name: object) -> ViewFactory:
     """Returns the view for an environment id, or for a pair of an id and options of the view.
 
     Raises:
-        ConfigError: the id is unknown.
+        ConfigError: the id or its version is unknown.
     """
     if isinstance(env_name, (tuple, list)) and len(env_name) == 2:
         return find_view((_view_of(env_name[0]), env_name[1]))
@@ -204,12 +204,13 @@ def _view_of(env_name: object) -> ViewFactory:
     if env_name.startswith(_TASK_IDS):
         view: ViewFactory = importlib.import_module(_SUITE).view_of(env_name)
         return view
-    name = env_name.removeprefix("supertuxkart/").rsplit("-v", 1)[0]
+    name = env_name.removeprefix("supertuxkart/").removesuffix("-v0")
     if name in VIEWS:
         return VIEWS[name]
     spec = gym.registry.get(env_name)
     if spec is None or not spec.additional_wrappers:
-        known = [f"supertuxkart/{view}-v0" for view in VIEWS]
+        name = name.partition("-v")[0]  # a view exists in one version
+        known = [f"supertuxkart/{view}-v0" for view in ([name] if name in VIEWS else VIEWS)]
         raise unknown_name("env_name", env_name, known)
     wrappers: list[Any] = [
         partial(load_env_creator(wrapper.entry_point), **(wrapper.kwargs or {}))

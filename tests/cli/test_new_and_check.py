@@ -7,7 +7,9 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.race import run_race
+from stkzoo.tracks import SPLITS
 from tests.support.paths import AGENTS
+from tests.support.views import marked
 
 HOSTILE = AGENTS / "hostile"
 
@@ -20,8 +22,9 @@ def starter(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_starter_agent_finishes_lighthouse(starter):
-    (row,) = run_race([str(starter)], track="lighthouse", seed=1).agents
+@pytest.mark.parametrize("track", marked(SPLITS["train"], ["olivermath"]))
+def test_the_starter_agent_finishes_every_training_track(track, starter):
+    (row,) = run_race([str(starter)], track=track, seed=1, max_steps=2000).agents
     assert row.status == "finished"
     assert (row.driver, row.num_errors, row.num_clipped) == ("my agent", 0, 0)
 
@@ -31,6 +34,11 @@ def test_the_starter_of_another_view_acts_in_that_view(tmp_path, capsys):
     folder = tmp_path / "racer"
     assert main(["new", str(folder), "--view", "racing"]) == 0
     assert main(["check", str(folder), "--max-steps", "5"]) == 0
+    actor = folder / "pystk_actor.py"
+    actor.write_text(actor.read_text("utf-8").replace("racing-v0", "racing-v1"), "utf-8")
+    assert main(["check", str(folder)]) == 3
+    shown = capsys.readouterr().out
+    assert "unknown env_name 'supertuxkart/racing-v1'. Known: supertuxkart/racing-v0" in shown
     assert main(["new", str(tmp_path / "other"), "--view", "racin"]) == 2
     assert "Did you mean 'racing'?" in capsys.readouterr().err
 
@@ -59,9 +67,7 @@ def test_check_measures_a_zip(starter, tmp_path, capsys):
     capsys.readouterr()
     assert main(["check", str(path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert report["passed"]
-    assert report["reason"] == ""
-    assert report["steps"] == 50
+    assert (report["passed"], report["reason"], report["steps"]) == (True, "", 50)
     times = report["thinking_time"]
     assert 0 < times["mean"] <= times["max"]
     assert 0 < times["p99"] <= times["max"]
