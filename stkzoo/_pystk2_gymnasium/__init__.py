@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from types import ModuleType
 
 from stkzoo._pystk2_gymnasium import definitions, envs, stk_wrappers, utils, vecenv, wrappers
@@ -20,6 +21,12 @@ globals().update(_NAMES)
 
 __all__ = ["definitions", "envs", "stk_wrappers", "utils", "vecenv", "wrappers", *_NAMES]
 __dir__ = __all__.copy
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in ("cli", "pystk_process"):
+        return import_module(f"{__name__}.{name}")  # raises an error that says what to use instead
+    raise AttributeError(f"module 'pystk2_gymnasium' has no attribute {name!r}")
 
 
 def modules() -> dict[str, ModuleType]:

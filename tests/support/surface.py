@@ -108,7 +108,7 @@ def missing(paths):
         for name in tail if head in met else (head, *tail):
             hints = getattr(value, "left_out", {}) if inspect.isclass(value) else {}
             try:
-                value = found_in(value, name)
+                value = getattr(value, name)
             except (AttributeError, ImportError) as error:
                 yield path, name, hints.get(name) or str(error)
                 break
@@ -119,9 +119,3 @@ def missing(paths):
                 each.name == parameter or each.kind is each.VAR_KEYWORD for each in accepted
             ):
                 yield path, parameter, "no such parameter"
-
-
-def found_in(value, name):
-    if value is package and name not in vars(package):
-        return importlib.import_module(f"{package.__name__}.{name}")
-    return getattr(value, name)
