@@ -3,12 +3,11 @@
     python -m stkzoo.agents.training.plot runs/first runs/second --output curves.png
 
 The plot has one panel per group of figures in the logs: time ratios, places, rewards and
-wins.
+wins. Each run has a color.
 """
 
 from __future__ import annotations
 
-import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ Interval = Sequence[float]
 
 
 #: Panels: title, and names of the figures in the log.
-_PANELS = (
+_PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (
         "Time over the AI's median time",
         ("alone_finished_ratio", "selfplay_finished_ratio", "rivals_finished_ratio"),
@@ -44,6 +43,8 @@ _PANELS = (
     ("Time over the AI's median time", ("time_ratio", "driver_time_ratio", "time_ratio_alone")),
     ("Loss [nats]", ("loss",)),
 )
+#: Styles of the figures of a panel, if colors mean runs.
+_STYLES = ("-", "--", ":", "-.")
 
 
 def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
@@ -64,26 +65,35 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     axes = list(figure.subplots(rows, 2, squeeze=False).flat)
     for axis, (title, entries) in zip(axes, panels, strict=False):
         style_axes(axis, title)
-        for entry, (run, log) in itertools.product(entries, logs.items()):
-            _draw_curve(axis, log, entry, f"{entry} ({run})" if len(logs) > 1 else entry)
+        entries = tuple(entry for entry in entries if entry in names)
+        for number, log in enumerate(logs.values()):
+            for color, (entry, style) in enumerate(zip(entries, _STYLES, strict=False)):
+                look = {"color": f"C{color}"}
+                if len(logs) > 1:
+                    look = {"color": f"C{number}", "linestyle": style}
+                _draw_curve(axis, log, entry, **look)
         unit = "million kart-steps" if "kart_steps" in names else "round"
         axis.set_xlabel(unit, fontsize=8, color=INK)
         axis.grid(alpha=0.3)
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=7)
+        curves = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+        if curves:
+            axis.legend(curves.values(), curves, fontsize=7)
     for axis in axes[len(panels) :]:
         axis.remove()
+    if len(logs) > 1:
+        lines = [axes[0].plot([], [], color=f"C{number}")[0] for number in range(len(logs))]
+        figure.legend(lines, logs, loc="outside upper center", ncols=min(len(logs), 6), fontsize=8)
     save_figure(figure, output)
 
 
-def _draw_curve(axis: Any, log: Sequence[Mapping[str, Any]], entry: str, label: str) -> None:
+def _draw_curve(axis: Any, log: Sequence[Mapping[str, Any]], entry: str, **look: str) -> None:
     """Draws a figure of a log, if it has been measured."""
     measured = [line for line in log if line.get(entry) is not None]
     if not measured:
         return
     steps = [_x(line) for line in measured]
     values = _smooth(np.array([line[entry] for line in measured], float))
-    (curve,) = axis.plot(steps, values, label=label)
+    (curve,) = axis.plot(steps, values, label=entry, **look)
     if entry == "time_ratio":
         error = 1.96 * np.array([line["error"] for line in measured])
         _draw_band(axis, curve, steps, values - error, values + error)
