@@ -6,12 +6,12 @@ import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
-from stkzoo._installation import repository_url
+from stkzoo._installation import project_url
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "stkzoo"
-author = "the stkzoo contributors"
+author = "the stkzoo developers"
 project_copyright = f"the game's pictures: the SuperTuxKart team; all else: {author}"
 release = version = version_of("stkzoo")
 
@@ -52,13 +52,16 @@ html_theme = "furo"
 html_title = f"stkzoo {version}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_logo = html_favicon = "_static/logo.svg"
 html_show_sphinx = False
 html_show_sourcelink = False
 html_theme_options = {
-    "source_repository": repository_url(),
+    "source_repository": project_url("Repository"),
     "source_branch": "main",
     "source_directory": "docs/",
-    "footer_icons": [{"name": "Repository", "url": repository_url(), "html": "Repository"}],
+    "footer_icons": [
+        {"name": "Repository", "url": project_url("Repository"), "html": "Repository"}
+    ],
     "sidebar_hide_name": False,
     "light_css_variables": {
         "color-brand-primary": "#0b6bcb",

@@ -19,11 +19,15 @@ _LIBRARY_COMMANDS = {
 }
 
 
-def repository_url() -> str:
-    """Returns the URL of the project's repository from the package's metadata; empty if unknown."""
+def project_url(label: str) -> str:
+    """Returns an address of the project from the package's metadata; empty if unknown.
+
+    Args:
+        label: the address's label, ``"Repository"`` or ``"Documentation"``.
+    """
     package = _installed()
     urls = (package and package.metadata.get_all("Project-URL")) or []
-    return next((url.partition(", ")[2] for url in urls if url.startswith("Repository, ")), "")
+    return next((url.partition(", ")[2] for url in urls if url.startswith(f"{label}, ")), "")
 
 
 def requirements() -> dict[str, list[str]]:

@@ -8,12 +8,7 @@ import pytest
 
 from stkzoo import ConfigError, _installation
 from stkzoo._imports import import_extra
-from stkzoo._installation import (
-    install_command,
-    library_remedy,
-    repository_url,
-    requirements,
-)
+from stkzoo._installation import install_command, library_remedy, project_url, requirements
 
 
 @pytest.fixture
@@ -47,7 +42,7 @@ def test_stale_metadata_in_a_checkout_does_not_hide_the_install(monkeypatch, tmp
     (stale / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: stkzoo\nVersion: 8\n")
     monkeypatch.syspath_prepend(stale.parent)
     assert metadata.version("stkzoo") == "8"
-    assert repository_url() == "https://example.org/stkzoo"
+    assert project_url("Repository") == "https://example.org/stkzoo"
     assert requirements()["races"] == ["aiohttp>=3"]
 
 

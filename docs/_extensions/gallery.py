@@ -29,7 +29,7 @@ from stkzoo.evaluation import GRAY, INK, new_figure, style_axes
 from stkzoo.evaluation.tournament.film import FilmRecorder, draw_film
 from stkzoo.race import RaceListener, RaceProgress, run_race
 from stkzoo.race.video import without_names
-from stkzoo.render.renderer import RaceRenderer, camera_karts
+from stkzoo.render.renderer import RaceRenderer
 from stkzoo.tracks import SPLITS
 from stkzoo.views import views
 from stkzoo.wrappers.racing import PLACES
@@ -68,21 +68,31 @@ Surroundings = tuple[list[tuple[Array, Array, float]], Array, Array]
 class FrameRecorder(RaceListener):
     """Keeps one frame of a race, rendered by the game.
 
+    Args:
+        size: width and height of the frame [pixels].
+        step: step of the race to render.
+        kart: kart with the camera, counted from 0.
+
     Attributes:
         frame: the image; ``None`` before its step, or if the game cannot render the track.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, size: tuple[int, int] = _FRAME_SIZE, step: int = _FRAME_STEP, kart: int = 0
+    ) -> None:
         self.frame: Array | None = None
-        self._renderer = RaceRenderer("engine", _FRAME_SIZE)
+        self._step, self._kart = step, kart
+        self._renderer = RaceRenderer("engine", size)
 
     def stepped(self, race: RaceProgress) -> None:
         """Renders the frame at its step."""
-        if race.steps == _FRAME_STEP:
-            scene = without_names(race.scene, camera_karts(race.scene))
-            self._renderer.begin(replace(scene, setup=replace(scene.setup, num_cameras=1)))
+        if race.steps == self._step:
+            scene = without_names(race.scene, range(len(race.scene.setup.karts)))
+            self._renderer.begin(
+                replace(scene, setup=replace(scene.setup, num_cameras=self._kart + 1))
+            )
             with suppress(EngineError):  # pystk2 0.7.4 crashes on mines with Mesa 22.3
-                self.frame = next(iter(self._renderer.pictures(race.snapshot).values()))
+                self.frame = list(self._renderer.pictures(race.snapshot).values())[self._kart]
             self._renderer.close()
 
 

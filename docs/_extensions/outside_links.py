@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from stkzoo._installation import repository_url
+from stkzoo._installation import project_url
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -36,8 +36,8 @@ def inside(text: str, folder: Path) -> str:
         if path in PAGES:
             return f"[{link['text']}]({os.path.relpath(PAGES[path], folder)})"
         if path.suffix == ".md" and DOCS not in path.parents:
-            page = path.relative_to(ROOT).as_posix()
-            return f"[{link['text']}]({repository_url()}/blob/main/{page}{link['place'] or ''})"
+            page = f"{project_url('Repository')}/blob/main/{path.relative_to(ROOT).as_posix()}"
+            return f"[{link['text']}]({page}{link['place'] or ''})"
         return link["text"] if path.is_dir() and DOCS not in path.parents else link[0]
 
     return _LINK.sub(replaced, text)

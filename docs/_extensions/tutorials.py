@@ -19,7 +19,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from stkzoo._arguments import CommandParser
-from stkzoo._installation import repository_url
+from stkzoo._installation import project_url
 from stkzoo._os import write_text
 
 ROOT = Path(__file__).parents[2]
@@ -106,7 +106,7 @@ def unexecuted(name: str) -> Any:
     from nbformat.v4 import new_code_cell, new_markdown_cell
 
     notebook = jupytext.read(SOURCES / f"{name}.py", fmt="py:percent")
-    url = repository_url()
+    url = project_url("Repository")
     badge = _BADGE.format(path=urlsplit(url).path.strip("/"), name=name)
     setup = new_code_cell(_SETUP.format(url=url, extras=EXTRAS[name]).rstrip())
     setup.metadata["tags"] = ["hide-input"]

@@ -32,6 +32,7 @@ from importlib import import_module
 from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser, add_options, values_of
+from stkzoo._installation import project_url
 from stkzoo._os import sentence_of
 from stkzoo._schema import plain_text
 from stkzoo.cli._process import INTERRUPTED, discard_stdout, end_signals, writing_stdout
@@ -56,7 +57,7 @@ first steps:
   stkzoo race my_agent ai   race it against the game's AI
   stkzoo check my_agent     see whether a tournament would accept it
 
-`stkzoo COMMAND --help` has examples of each.
+`stkzoo COMMAND --help` has examples of each. The documentation is at {url}
 
 exit codes:
   0 success, 1 failure, 2 invalid command line, 3 an agent failed,
@@ -74,7 +75,7 @@ def build_parser(command: str | None = None) -> CommandParser:
     parser = CommandParser(
         prog="stkzoo",
         description="Multi-agent kart racing on the real SuperTuxKart engine.",
-        epilog=_EPILOG,
+        epilog=_EPILOG.format(url=project_url("Documentation")),
     )
     parser.add_argument("--version", action="version", version=f"stkzoo {version('stkzoo')}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)

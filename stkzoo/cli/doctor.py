@@ -40,10 +40,7 @@ from stkzoo.engine.render_session import GRAPHICS_PACKAGES, missing_graphics_lib
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.render.encoder import find_ffmpeg
 
-_SANDBOX_REMEDY = (
-    "install bubblewrap 0.8 or later (sudo apt install bubblewrap) and allow user namespaces, see "
-    "docs/reference/agents.md"
-)
+_SANDBOX_REMEDY = "sudo apt install bubblewrap (0.8 or later); see The sandbox in the documentation"
 
 _PROBE = """\
 import pystk2

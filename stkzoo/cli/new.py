@@ -21,6 +21,7 @@ from pathlib import Path
 from string import Template
 
 from stkzoo._arguments import option, positional
+from stkzoo._installation import project_url
 from stkzoo._os import write_text
 from stkzoo._schema import plain_text
 from stkzoo.drivers.driver import driver_names, find_driver_view
@@ -75,7 +76,7 @@ def run(arguments: NewArguments) -> int:
 def _fill(template: str, file: Path, **values: str) -> None:
     """Writes a file from a template."""
     text = (_TEMPLATES / f"{template}-tpl").read_text("utf-8")
-    write_text(file, Template(text).substitute(values))
+    write_text(file, Template(text).substitute(values, url=project_url("Documentation")))
 
 
 def _check_name(folder: str) -> None:

@@ -23,8 +23,8 @@ def test_each_public_module_is_a_command():
 def test_the_help_lists_each_command_with_its_summary(capsys):
     assert main(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    for name, summary in [("keys", "make keys for networked races"), ("karts", "list the karts")]:
-        assert f"{name} {summary}" in shown
+    for text in ("keys make keys for networked races", "The documentation is at https://"):
+        assert text in shown
 
 
 def parsers(parser, name="stkzoo"):

@@ -45,6 +45,7 @@ def test_the_starter_of_another_view_acts_in_that_view(tmp_path, capsys):
 
 def test_new_does_not_overwrite(starter, capsys):
     before = (starter / "pystk_actor.py").read_bytes()
+    assert b": https://" in before
     assert main(["new", str(starter)]) == 2
     assert "is not empty; choose another folder" in capsys.readouterr().err
     assert (starter / "pystk_actor.py").read_bytes() == before

@@ -12,6 +12,7 @@ import pytest
 
 from stkzoo.agents.training.common.command import command_parser
 from stkzoo.cli import build_parser, main
+from tests.docs.test_extensions import extension
 from tests.support.docs_blocks import (
     NOT_RUN,
     ROOT,
@@ -192,7 +193,8 @@ def test_tests_that_run_the_other_commands_exist():
 
 
 def test_every_image_of_the_pages_exists():
-    for page in PAGES:
-        text = (ROOT / page).read_text("utf-8")
+    texts = {page: (ROOT / page).read_text("utf-8") for page in PAGES}
+    gallery = extension("gallery_page").pages()  # a checkout has it after the site is built
+    for page, text in [*texts.items(), *((f"docs/{name}", text) for name, text in gallery.items())]:
         for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+)\)", text):
             assert (ROOT / Path(page).parent / target).exists(), f"{page}: {target}"

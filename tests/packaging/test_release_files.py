@@ -49,6 +49,8 @@ def test_versions_agree():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
     assert citation["version"] == PROJECT["project"]["version"] == stkzoo.__version__
     assert citation["license"] == PROJECT["project"]["license"]
+    changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    assert f"\n## 1.0.0 - {citation['date-released']}\n" in changes
 
 
 def test_all_includes_every_extra_for_users():

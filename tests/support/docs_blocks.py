@@ -53,9 +53,9 @@ def blocks(page, language):
 SHORTER = [
     ("README.md", '"flattened_discrete")\nobs', '"flattened_discrete", max_cycles=100)\nobs'),
     ("docs/how-to/live-page.md", 'listeners=[page]', 'max_steps=20, listeners=[page]'),
-    ("README.md", "learn(1_000_000)", "learn(256)"),
+    ("README.md", "learn(200_000)", "learn(1)"),
     ("README.md", 'track="train"', 'track="lighthouse"'),
-    ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
+    ("README.md", "n_steps=128", "n_steps=16"),
     ("docs/how-to/stable-baselines3.md", "learn(1_000_000)", "learn(1)"),
     ("docs/how-to/stable-baselines3.md", "n_steps=128", "n_steps=16"),
     ("docs/how-to/stable-baselines3.md", 'track="train"', 'track="lighthouse"'),
