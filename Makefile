@@ -23,7 +23,7 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser compiler data engine graphics sandbox help race test test-fast test-lowest test-all sanitize check bench docs pictures wheel clean
+.PHONY: browser compiler data engine graphics sandbox help race test test-fast test-lowest test-all sanitize check bench docs pictures release check-release clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -36,7 +36,7 @@ help:
 	@echo "make bench   measure speed and memory"
 	@echo "make pictures  draw the tracks and charts of the documentation again"
 	@echo "make docs    build the documentation's pages; the tests run their examples"
-	@echo "make wheel   build dist/stkzoo-*.whl, to install elsewhere"
+	@echo "make release  build and check the wheel and the source distribution, in the folder dist"
 	@echo "make clean   remove what was built here; the game's data stays"
 	@echo "             (it goes with: stkzoo assets clean)"
 
@@ -117,10 +117,28 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs site
 	@echo "open site/index.html"
 
-# Builds from the source distribution, so that the wheel contains no files of earlier builds.
-wheel: $(VENV)/.made | compiler
-	$(PIP) install --quiet build
-	$(BIN)/python -m build --outdir dist .
+# Builds everything that a release uploads and this machine can build: the source distribution and, from
+# it, a wheel for each interpreter in PYTHONS. The workflow release.yml builds wheels for other systems.
+PYTHONS ?= $(PYTHON)
+RELEASE_TOOLS := PATH="$(CURDIR)/$(BIN):$$PATH"
+release: $(VENV)/.release | compiler
+	rm -rf dist build/wheels
+	$(BIN)/uv build --quiet --sdist --out-dir dist .
+	for python in $(PYTHONS); do $(BIN)/uv build --quiet --wheel \
+		--python "$$(command -v $$python)" --out-dir build/wheels dist/*.tar.gz || exit 1; done
+	if [ -z "$(PYTHONS)" ]; then :; \
+	elif [ "$$(uname)" = Linux ]; then \
+		$(RELEASE_TOOLS) auditwheel repair --strip --wheel-dir dist build/wheels/*.whl; \
+	else cp build/wheels/*.whl dist; fi
+	$(MAKE) check-release
+
+# The weights of the learned drivers take 4.1 MB of each file.
+check-release: $(VENV)/.release
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist
+	@large=$$(find dist -name '*.whl' -size +5300k -o -name '*.tar.gz' -size +5900k); \
+	[ -z "$$large" ] || { ls -l $$large; echo "too large: at most 5.3 and 5.9 MB"; exit 1; }
+	@ls -l dist
 
 # The extensions need a C compiler and the headers of Python, which minimal systems do not have.
 compiler:
@@ -232,9 +250,13 @@ $(VENV)/.torch: $(VENV)/.core
 	$(PIP) install --quiet $(TORCH)
 	@touch $@
 
-# Debian's pip is too old for dependency groups.
-$(VENV)/.dev: $(VENV)/.core $(VENV)/.torch pyproject.toml
+# The pip of Debian 12 is too old for dependency groups.
+$(VENV)/.release: $(VENV)/.made pyproject.toml
 	$(PIP) install --quiet 'pip>=25.1'
+	$(PIP) install --quiet --group release
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.core $(VENV)/.torch $(VENV)/.release pyproject.toml
 	$(PIP) install --quiet --editable '.[all]' --group dev
 	@touch $@
 

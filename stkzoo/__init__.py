@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from stkzoo.mdp.rewards import Reward
     from stkzoo.views import views  # the package itself, which can be called
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "ActionObservationWrapper",

@@ -52,7 +52,7 @@ def install_stkzoo():
     requirement = f"stkzoo[{extras}] @ {{source}}"
     if subprocess.run([*python, "pip", "install", "-q", requirement]).returncode:
         raise SystemExit(
-            f"pip cannot install stkzoo from {{source}}. Build a wheel with `make wheel`, "
+            f"pip cannot install stkzoo from {{source}}. Build a wheel with `make release`, "
             "upload it beside this notebook, and run this cell again."
         )
     options = ["--from", str(pack)] if pack else []

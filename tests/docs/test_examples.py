@@ -76,7 +76,7 @@ PARSED = {
 
 OTHER_PROGRAMS = [
     *("pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard", "conda"),
-    *("export", "uv", "jupyter"),
+    *("docker", "export", "jupyter", "uv"),
 ]
 
 

@@ -1,16 +1,17 @@
 """The wheel, the source distribution, and the installed package."""
 
+import os
 import re
 import subprocess
 import sys
 import tarfile
-import textwrap
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from tests.support.docs_blocks import blocks, shortened
 from tests.support.paths import ROOT, copy_checkout
 
 pytestmark = pytest.mark.slow
@@ -109,25 +110,19 @@ def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
     assert not [name for name in names if name.endswith((".so", ".pyc"))]
 
 
-def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
-    program = """
-        import stkzoo
-        from pathlib import Path
-        assert "site-packages" in stkzoo.__file__ and "outside" in stkzoo.__file__, stkzoo.__file__
-        from stkzoo.engine.process import LIBM
-        assert LIBM.exists()
-        import stkzoo.agents.planning.driver
-        from stkzoo import race_v0
-        with race_v0.parallel_env(num_kart=2, track="lighthouse", view="masked_discrete") as env:
-            env.reset(seed=1)
-            env.step(dict.fromkeys(env.agents, 4))
-            print(env.race.track)
-        """
-    code, said = run([str(installed), "-c", textwrap.dedent(program)], cwd=tmp_path)
-    assert (code, said.strip()) == (0, "lighthouse")
-    code, said = run([str(installed), "-m", "stkzoo", "karts"], cwd=tmp_path)
-    assert code == 0, said
-    assert "wilber" in said
+def test_the_wheel_works_outside_the_checkout_without_a_compiler(installed, tmp_path):
+    program = f"""
+import stkzoo
+from stkzoo.engine.process import LIBM
+assert "site-packages" in stkzoo.__file__ and "outside" in stkzoo.__file__, stkzoo.__file__
+assert LIBM.exists()
+{shortened(blocks("README.md", "python")[0])}"""
+    demo = ["-m", "stkzoo", "race", "--demo", "--max-steps", "30"]
+    for words in (["-c", program], ["-m", "stkzoo", "doctor"], demo):
+        environment = {**os.environ, "PATH": str(tmp_path)}
+        code, said = run([str(installed), *words], cwd=tmp_path, env=environment)
+        assert code == 0, said
+    assert "Next: `stkzoo new" in said
 
 
 @pytest.mark.matrix
