@@ -1,25 +1,19 @@
-"""Draws the maps of the tracks, and updates the rows of ``docs/reference/tracks.md``.
-
-With ``--measure FOLDER``, it first races the game's AI on all tracks (840 races, saved in the
-folder; an interrupted run resumes) and stores its times where ``stkzoo benchmark`` reads them.
-"""
+"""Draws the maps of the tracks, and updates the rows of ``docs/reference/tracks.md``."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from stkzoo import race_v0
-from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.track import TrackMap
-from stkzoo.evaluation import AiTimes, BatchProgress, load_ai_times, measure_ai_times
+from stkzoo.evaluation import AiTimes, load_ai_times
 from stkzoo.names import GroundKind
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS, split_of
@@ -27,7 +21,6 @@ from stkzoo.wrappers.racing import racing_line
 
 DOCS = Path(__file__).parents[1]
 PAGE, PICTURES = DOCS / "reference" / "tracks.md", DOCS / "images" / "tracks"
-AI_TIMES = Path(str(files("stkzoo.evaluation.benchmark") / "ai_times.json"))
 _SIZE, _COLORS = (300, 220), 32
 _DIFFICULTIES = (0, 1, 2, 3)
 
@@ -132,24 +125,7 @@ def _times(track: str, reverse: bool, times: AiTimes) -> str:
     )
 
 
-def _tell(progress: BatchProgress) -> None:
-    if progress.last is not None:
-        last = progress.last
-        way = "reversed" if last.reverse else "forward"
-        print(
-            f"{progress.done} of {progress.total}: {last.track} {way} at {last.difficulty}",
-            flush=True,
-        )
-
-
 def main() -> None:
-    parser = CommandParser(prog="python docs/_extensions/track_atlas.py", description=__doc__)
-    parser.add_argument("--measure", metavar="FOLDER", help="measure the AI's times first")
-    parser.add_argument("--jobs", type=int, help="parallel races")
-    arguments = parser.parse_args()
-    if arguments.measure:
-        times = measure_ai_times(arguments.measure, jobs=arguments.jobs, on_race=_tell)
-        write_text(AI_TIMES, times.to_json() + "\n")
     PICTURES.mkdir(parents=True, exist_ok=True)
     facts = {track: survey(track) for track in SPLITS["all"]}
     write_text(PAGE, updated(PAGE.read_text("utf-8"), facts, load_ai_times()))

@@ -22,7 +22,6 @@ Examples:
   stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
   stkzoo benchmark heuristic --time-trial     21 races against human records
   stkzoo benchmark --compare results/mine benchmark/heuristic
-  stkzoo benchmark --baseline --output ai-times     the AI's times
 
 exit codes:
   0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
@@ -31,34 +30,24 @@ exit codes:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stkzoo import evaluation
 from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
-from stkzoo.cli._batch import (
-    RUN_OPTIONS,
-    directions_option,
-    file_name,
-    reverse_of,
-    run_and_show,
-)
+from stkzoo.cli._batch import RUN_OPTIONS, directions_option, file_name, reverse_of, run_and_show
 from stkzoo.cli._console import say, show, show_facts, show_table
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.run import BatchKind
-from stkzoo.evaluation.benchmark.ai_times import AI_TIMES, plan_ai_times
 from stkzoo.evaluation.benchmark.result import BENCHMARK
 from stkzoo.evaluation.benchmark.time_trial import CLOSE, TIME_TRIALS
 from stkzoo.race import RaceSettings
 
 #: Options that only races of the usual benchmark have.
-_CONDITIONS = ("difficulty", "forms", "directions", "ai_times")
+_CONDITIONS = ("difficulty", "forms", "directions")
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
-#: Kind and plan of a batch, its default folder, and the function that prints its result.
-_Batch = tuple[BatchKind[Any, Any], Any, str, Callable[[Any], object]]
 #: Estimates of metrics by name.
 _Figures = Mapping[str, evaluation.Estimate | None]
 
@@ -71,17 +60,14 @@ class BenchmarkArguments:
         agent: the agent; see above
         compare: compare results (folders or result.json files): the first with each of the others
         time_trial: drive each track alone in the game's time trial, against the human records
-        baseline: measure the game's AI at all difficulties, for --ai-times
         split: names of tracks, or train, train_only, validation, test or all (default: test;
-            with --time-trial or --baseline, all)
+            with --time-trial, all)
         difficulty: skill of the game's AI and speed of all karts, 0 to 3
         forms: line-ups to race: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
         seeds: races of each track, direction, line-up and end of the grid (default: 5; with
             --time-trial, 1)
-        ai_times: the AI's times, from --baseline (default: those that come with stkzoo)
         output: folder for the races, result.json and benchmark.png (default: benchmark/AGENT, or
-            benchmark/AGENT-time-trial); with --compare, a file for the plot; with --baseline, a
-            folder for the times
+            benchmark/AGENT-time-trial); with --compare, a file for the plot
         json: write only JSON to stdout
         no_plot: do not draw benchmark.png
     """
@@ -89,13 +75,11 @@ class BenchmarkArguments:
     agent: str | None = positional(None)
     compare: tuple[str, ...] | None = option(metavar="RESULT", rivals="what")
     time_trial: bool = option(False, rivals="what")
-    baseline: bool = option(False, rivals="what")
     split: tuple[str, ...] | None = option(flag="--track", metavar="TRACK")
     difficulty: int = 3
     forms: tuple[str, ...] | None = option(metavar="FORM")
     seeds: int | None = None
     directions: tuple[str, ...] = directions_option("forward", "reversed")
-    ai_times: str | None = option(metavar="FILE")
     output: str | None = option(metavar="PATH", group="output")
     json: bool = option(False, group="output")
     no_plot: bool = option(False, group="output")
@@ -106,52 +90,36 @@ class BenchmarkArguments:
 
 
 def run(arguments: BenchmarkArguments) -> int:
-    """Measures an agent or the game's AI, or compares results."""
-    mode = "--compare" if arguments.compare else "--baseline" if arguments.baseline else ""
-    if arguments.agent is None and not mode:
-        raise ConfigError("no agent; name one, such as heuristic, or see --help")
-    if arguments.agent is not None and mode:
-        raise ConfigError(f"{mode} takes no agent; leave out {arguments.agent}")
+    """Measures an agent, or compares results."""
     if arguments.compare:
         return _compare(arguments)
     if arguments.agent is None:
-        batch_kind, plan, folder, as_text = _baseline(arguments)
-    else:
-        planned = _time_trial if arguments.time_trial else _benchmark
-        batch_kind, plan, folder, as_text = planned(arguments, arguments.agent)
-    return run_and_show(arguments, batch_kind, plan, Path(arguments.output or folder), as_text)
+        raise ConfigError("no agent; name one, such as heuristic, or see --help")
+    measure = _time_trial if arguments.time_trial else _benchmark
+    return measure(arguments, arguments.agent)
 
 
-def _benchmark(arguments: BenchmarkArguments, agent: str) -> _Batch:
+def _benchmark(arguments: BenchmarkArguments, agent: str) -> int:
     plan = evaluation.plan_benchmark(
         agent,
         difficulty=arguments.difficulty,
         reverse=reverse_of(arguments.directions),
-        ai_times=arguments.ai_times,
         **_chosen(split=arguments.split, forms=arguments.forms, seeds=arguments.seeds),
         **arguments.settings,
     )
-    folder = f"benchmark/{file_name(plan.agent.label)}"
-    return BENCHMARK, plan, folder, lambda result: show_results([result])
+    folder = Path(arguments.output or f"benchmark/{file_name(plan.agent.label)}")
+    return run_and_show(arguments, BENCHMARK, plan, folder, lambda result: show_results([result]))
 
 
-def _time_trial(arguments: BenchmarkArguments, agent: str) -> _Batch:
+def _time_trial(arguments: BenchmarkArguments, agent: str) -> int:
     refuse_options(
         "--time-trial has the conditions of the human records",
         changed_options(arguments, only=_CONDITIONS),
     )
     chosen = _chosen(split=arguments.split, seeds=arguments.seeds)
     plan = evaluation.plan_time_trial(agent, **chosen, **arguments.settings)
-    folder = f"benchmark/{file_name(plan.agent.label)}-time-trial"
-    return TIME_TRIALS, plan, folder, _show_time_trial
-
-
-def _baseline(arguments: BenchmarkArguments) -> _Batch:
-    changed = changed_options(arguments, only=(*_CONDITIONS, "settings"))
-    refuse_options("--baseline has races of its own", changed)
-    plan = plan_ai_times(**_chosen(tracks=arguments.split, seeds=arguments.seeds))
-    as_text = lambda times: say(f"{len(times.by_race)} times of the game's AI")  # noqa: E731
-    return AI_TIMES, plan, "ai-times", as_text
+    folder = Path(arguments.output or f"benchmark/{file_name(plan.agent.label)}-time-trial")
+    return run_and_show(arguments, TIME_TRIALS, plan, folder, _show_time_trial)
 
 
 def _chosen(**options: Any) -> dict[str, Any]:
@@ -160,6 +128,8 @@ def _chosen(**options: Any) -> dict[str, Any]:
 
 
 def _compare(arguments: BenchmarkArguments) -> int:
+    if arguments.agent is not None:
+        raise ConfigError(f"--compare takes no agent; leave out {arguments.agent}")
     refuse_options(
         "--compare runs no races", changed_options(arguments, without=("compare", "output", "json"))
     )

@@ -29,18 +29,8 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._arguments import option, options_of, positional
-from stkzoo.cli._batch import (
-    RUN_OPTIONS,
-    directions_option,
-    reverse_of,
-    run_batch,
-    tracks_option,
-)
-from stkzoo.evaluation import (
-    DemoPlan,
-    RunOptions,
-    plan_demonstrations,
-)
+from stkzoo.cli._batch import RUN_OPTIONS, directions_option, reverse_of, run_batch, tracks_option
+from stkzoo.evaluation import DemoPlan, RunOptions, plan_demonstrations
 from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
 from stkzoo.race import RaceSettings
 

@@ -48,21 +48,11 @@ def run(arguments: NewArguments) -> int:
     """Creates the agent and prints what to do next."""
     find_driver_view(arguments.view)
     _check_name(arguments.folder)
-    folder = Path(arguments.folder)
+    folder = make_empty(arguments.folder)
     name = os.path.basename(os.path.realpath(folder))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        is_empty = not any(folder.iterdir())
-    except OSError as error:
-        raise ConfigError(f"cannot create {arguments.folder!r}: {error.strerror}") from None
-    if not is_empty:
-        raise ConfigError(f"{arguments.folder!r} is not empty; choose another folder")
-    quoted = shlex.quote(arguments.folder)
-    archive = shlex.quote(f"{name}.zip")
-    actor = "simple" if arguments.view == "simple" else "policy"
-    text = json.dumps(name, ensure_ascii=False)
-    _fill(f"{actor}.py", folder / "pystk_actor.py", name=text, view=arguments.view)
-    _fill("README.md", folder / "README.md", name=name, folder=quoted, zip=archive)
+    quoted, archive = shlex.quote(arguments.folder), shlex.quote(f"{name}.zip")
+    write_agent(folder, name, arguments.view)
+    fill("README.md", folder / "README.md", name=name, folder=quoted, zip=archive)
     print(f"Created {folder / 'pystk_actor.py'} and README.md. Next:")
     for command, purpose in (
         (f"stkzoo race {quoted} ai ai", "race it against the game's AI"),
@@ -73,8 +63,47 @@ def run(arguments: NewArguments) -> int:
     return 0
 
 
-def _fill(template: str, file: Path, **values: str) -> None:
-    """Writes a file from a template."""
+def make_empty(path: str) -> Path:
+    """Creates a folder, which may exist if it is empty, and returns it.
+
+    Args:
+        path: the folder.
+
+    Raises:
+        ConfigError: it cannot be created, or is not empty.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        is_empty = not any(folder.iterdir())
+    except OSError as error:
+        raise ConfigError(f"cannot create {path!r}: {error.strerror}") from None
+    if not is_empty:
+        raise ConfigError(f"{path!r} is not empty; choose another folder")
+    return folder
+
+
+def write_agent(folder: Path, name: str, view: str = "simple") -> None:
+    """Writes the code of a starter agent.
+
+    Args:
+        folder: folder of the agent.
+        name: name of the agent.
+        view: view of the agent.
+    """
+    actor = "simple" if view == "simple" else "policy"
+    text = json.dumps(name, ensure_ascii=False)
+    fill(f"{actor}.py", folder / "pystk_actor.py", name=text, view=view)
+
+
+def fill(template: str, file: Path, **values: str) -> None:
+    """Writes a file from a template.
+
+    Args:
+        template: name of the template, without its suffix.
+        file: the file.
+        **values: values of the template's placeholders.
+    """
     text = (_TEMPLATES / f"{template}-tpl").read_text("utf-8")
     write_text(file, Template(text).substitute(values, url=project_url("Documentation")))
 

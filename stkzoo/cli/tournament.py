@@ -11,7 +11,8 @@ Choose --races as agents * 15 / --per-race, so that each agent has 15 races. A r
 from files on a short track takes about 15 s; --jobs races run at the same time.
 
 Name agents as for `stkzoo race`: ai, heuristic, random, a folder, a zip or a module; append
-@:Name to rename one.
+@:Name to rename one. --hand-ins takes the zips of a course: FOLDER has a zip for each participant,
+or a folder with all zips of the participant, of which the newest valid one races.
 
 Examples:
   stkzoo tournament heuristic ai random my_agent/ --track lighthouse hacienda
@@ -19,6 +20,7 @@ Examples:
   stkzoo tournament --resume league
   stkzoo tournament --resume league late.zip       late.zip joins
   stkzoo tournament ai --servers servers.txt --secret course.secret
+  stkzoo tournament ai --hand-ins submissions --deadline 2026-12-01T18:00
 
 exit codes:
   0 success, 1 a race could not be run, 2 invalid command line, 3 an agent
@@ -34,13 +36,15 @@ from typing import Any
 from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
 from stkzoo.cli._batch import RUN_OPTIONS, run_and_show, tracks_option
 from stkzoo.cli._console import say, show_table
+from stkzoo.cli._hand_ins import collect_agents
 from stkzoo.cli.race_client import ServersArguments, server_access
 from stkzoo.evaluation import RunOptions, TournamentPlan, TournamentResult, plan_tournament
 from stkzoo.evaluation.tournament.plan import resumed_plan
 from stkzoo.evaluation.tournament.run import TOURNAMENT
 from stkzoo.race import RaceSettings
 
-_COLUMNS = ("place", "agent", "rating", "95%", "races", "wins", "rank", "finished", "failed")
+_COLUMNS = ("place", "agent", "rating", "95%", "group")
+_COUNTS = ("races", "wins", "rank", "finished", "failed")
 
 
 @dataclass
@@ -65,12 +69,16 @@ class TournamentArguments:
 
     Attributes:
         agents: the agents; see above
+        hand_ins: folder with a zip, or a folder of zips, for each participant; they are copied
+        deadline: leave out zips that were changed after TIME, such as 2026-12-01T18:00
         output: folder for the races, result.json and report.html
         resume: resume the tournament in FOLDER; agents that you name join it
         json: write only JSON to stdout
     """
 
     agents: tuple[str, ...] = positional((), metavar="AGENT")
+    hand_ins: Path | None = option(metavar="FOLDER", group="course")
+    deadline: str | None = option(metavar="TIME", group="course")
     schedule: ScheduleArguments = options_of(ScheduleArguments)
     output: str = option("tournament", metavar="FOLDER", rivals="folder", group="output")
     resume: str | None = option(metavar="FOLDER", rivals="folder", group="output")
@@ -85,6 +93,7 @@ class TournamentArguments:
 def run(arguments: TournamentArguments) -> int:
     """Runs or resumes a tournament."""
     folder = Path(arguments.resume or arguments.output)
+    arguments.agents += collect_agents(arguments.hand_ins, arguments.deadline, folder)
     return run_and_show(arguments, TOURNAMENT, _plan(arguments), folder, _show)
 
 
@@ -102,12 +111,12 @@ def _plan(arguments: TournamentArguments) -> TournamentPlan:
 
 def _show(result: TournamentResult) -> None:
     rows = []
-    for row in result.standings:
+    for row, group in zip(result.standings, result.groups, strict=True):
         interval = f"{row.rating.low:.1f} to {row.rating.high:.1f}"
-        counts = (row.races, row.wins, row.mean_rank, row.finished, row.failed)
+        counts = (group, row.races, row.wins, row.mean_rank, row.finished, row.failed)
         rows.append((row.place, row.label, row.rating.value, interval, *counts))
     styles = ["red" if row.errors else None for row in result.standings]
-    show_table(_COLUMNS, rows, styles=styles)
+    show_table((*_COLUMNS, *_COUNTS), rows, styles=styles)
     for row in result.standings:
         if row.reason:
             say(f"{row.label} failed in {row.failed} of {row.races} races: {row.reason}")

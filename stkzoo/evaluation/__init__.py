@@ -19,7 +19,7 @@ folder as soon as its race ends, so the same call resumes after an interruption.
 from stkzoo.evaluation.agent_check import AgentReport, check_agent
 from stkzoo.evaluation.batch.agents import BatchAgent
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
-from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
+from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
@@ -116,7 +116,6 @@ __all__ = [
     "load_demonstrations",
     "load_time_trial",
     "load_tournament",
-    "measure_ai_times",
     "new_figure",
     "percentile_interval",
     "plan_benchmark",

@@ -91,29 +91,21 @@ class RaceSettings:
         check_whole("seed", self.seed, 0)
         check_whole("max_restarts", self.max_restarts, 0)
         check_type("adapter", self.adapter, str | os.PathLike | None, "the path of a Python file")
-        for name in ("max_steps", "max_steps_after_first", "karts_finished"):
-            if getattr(self, name) is not None:
-                check_whole(name, getattr(self, name), 1)
         for name in ("action_timeout", "time_budget", "agent_memory"):
             value = getattr(self, name)
             if isinstance(value, (int, float)) and value == 0:
                 object.__setattr__(self, name, None)
-        if self.action_timeout is not None:
-            check_number("action_timeout", self.action_timeout, unit="seconds")
-        check_number("start_timeout", self.start_timeout, unit="seconds")
-        if self.time_budget is not None:
-            check_number("time_budget", self.time_budget, unit="seconds")
-        if self.agent_memory is not None:
-            check_whole("agent_memory", self.agent_memory, 1)
-        if not isinstance(self.sandbox, str) or self.sandbox not in MODES:
-            raise ConfigError(f"sandbox is {self.sandbox!r}, expected one of {', '.join(MODES)}")
+        for name in ("max_steps", "max_steps_after_first", "karts_finished", "agent_memory"):
+            if getattr(self, name) is not None:
+                check_whole(name, getattr(self, name), 1)
+        for name in ("action_timeout", "start_timeout", "time_budget"):
+            if name == "start_timeout" or getattr(self, name) is not None:
+                check_number(name, getattr(self, name), unit="seconds")
+        for name, known in (("sandbox", MODES), ("error_handling", ERROR_HANDLING)):
+            if not isinstance(value := getattr(self, name), str) or value not in known:
+                raise ConfigError(f"{name} is {value!r}, expected one of {', '.join(known)}")
         if self.sandbox == "on" and self.inline:
             raise ConfigError("sandbox is 'on', but agents run inline; leave out one of the two")
-        if not isinstance(self.error_handling, str) or self.error_handling not in ERROR_HANDLING:
-            raise ConfigError(
-                f"error_handling is {self.error_handling!r}, expected one of "
-                f"{', '.join(ERROR_HANDLING)}"
-            )
 
     @classmethod
     def changed(

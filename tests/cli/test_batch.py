@@ -40,14 +40,10 @@ def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
 @pytest.mark.parametrize(
     ("label", "name"),
     [
-        ("my_agent", "my_agent"),
-        ("pretrained:ace", "pretrained-ace"),
         ("v1.2 (new)", "v1.2 (new)"),
-        (".", "_"),
+        ("pretrained:ace", "pretrained-ace"),
         ("..", "_"),
-        ("../../home", "__.._home"),
-        ("..\\home", "__home"),
-        ("a/b", "a_b"),
+        ("../..\\home", "__.._home"),
     ],
 )
 def test_the_label_of_an_agent_becomes_a_safe_file_name(label, name):

@@ -5,14 +5,11 @@ import io
 import json
 import shutil
 import subprocess
-import sys
 
 import pytest
 from rich.console import Console
 
-from stkzoo._installation import install_command
 from stkzoo.cli import COMMANDS, _console, main
-from stkzoo.tracks import SPLITS
 
 
 def test_tracks_shows_the_data_of_tracks(capsys):
@@ -24,19 +21,6 @@ def test_tracks_shows_the_data_of_tracks(capsys):
     assert [other[name] for name in facts] == ["train", 115, 0, 25]
     assert 30 < other["time"] < 45
     assert (other["record"], other["record_laps"]) == (86.92, 4)
-
-
-@pytest.mark.slow
-def test_tracks_of_a_split_are_shown(capsys):
-    assert main(["tracks", "test", "--difficulty", "0"]) == 0
-    shown = capsys.readouterr().out
-    assert all(track in shown for track in SPLITS["test"])
-    assert "lighthouse" not in shown
-
-
-def test_an_unknown_track_is_reported_with_the_nearest_name(capsys):
-    assert main(["tracks", "lighthous"]) == 2
-    assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
 
 
 def test_karts_match_the_game(capsys):
@@ -82,12 +66,6 @@ def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
     assert completed(script, "stkzoo", "tour") == ["tournament"]
     assert "--track" in completed(script, "stkzoo", "race", "--tra")
     assert completed(script, "stkzoo", "race", "--error-handling", "re") == ["retire", "restart"]
-
-
-def test_without_shtab_the_remedy_is_shown(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    assert main(["completion", "bash"]) == 2
-    assert install_command("races") in capsys.readouterr().err
 
 
 def shown(monkeypatch, width, columns, rows, **options):

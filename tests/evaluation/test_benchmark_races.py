@@ -7,16 +7,11 @@ import jsonschema
 import numpy as np
 import pytest
 
+from benchmarks.ai_times import main as measure_ai_times
 from stkzoo import race_v0
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import (
-    AiTimes,
-    load_ai_times,
-    load_benchmark,
-    measure_ai_times,
-    run_benchmark,
-)
+from stkzoo.evaluation import AiTimes, load_ai_times, load_benchmark, run_benchmark
 from stkzoo.evaluation.benchmark.plan import benchmark_orders
 from stkzoo.race import RaceResult, run_race
 from stkzoo.records import HUMAN_RECORDS
@@ -115,19 +110,18 @@ def test_the_shipped_times_cover_all_tracks_directions_and_difficulties():
 
 @pytest.mark.slow
 def test_new_measurements_reproduce_the_shipped_times(tmp_path):
-    options = {"tracks": "olivermath", "seeds": 1, "difficulties": (2,), "jobs": 1}
-    times = measure_ai_times(tmp_path / "ai", **options)
+    file, folder = tmp_path / "times.json", ["--folder", str(tmp_path / "ai")]
+    words = ["--tracks", "olivermath", "--difficulties", "2", "--output", str(file), *folder]
+    assert measure_ai_times([*words, "--seeds", "1"]) == 0
+    times = AiTimes.load(file)
     assert set(times.by_race) == {("olivermath", False, 2), ("olivermath", True, 2)}
     for key, time in times.by_race.items():
         shipped = load_ai_times().by_race[key]  # the same race, possibly from another processor
         assert time.median == pytest.approx(shipped.median, rel=0.2)
-    assert load_ai_times(tmp_path / "ai" / "ai_times.json") == times
     with pytest.raises(ConfigError, match=r"has no time on lighthouse .* at difficulty 3"):
-        run_benchmark(
-            "ai", output=tmp_path / "b", ai_times=tmp_path / "ai" / "ai_times.json", **SMALL
-        )
+        times.of("lighthouse", False, 3)
     with pytest.raises(ConfigError, match="has another measurement: seeds is 2 and was 1"):
-        measure_ai_times(tmp_path / "ai", **{**options, "seeds": 2})
+        measure_ai_times([*words, "--seeds", "2"])
 
 
 # ------------------------------------------------------------------ the command
@@ -172,9 +166,9 @@ def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
         ([], "no agent; name one"),
         (["nobody"], "unknown driver 'nobody'"),
         (["ai", "--compare", "x"], "--compare takes no agent; leave out ai"),
-        (["ai", "--baseline"], "--baseline takes no agent; leave out ai"),
         (["--compare", "nowhere"], "nowhere has no benchmark"),
         (["ai", "--jobs", "0"], "jobs is 0"),
+        (["ai", "--time-trial", "--forms", "P"], "leave out --forms"),
     ],
 )
 def test_invalid_usage_exits_with_2(words, message, capsys):

@@ -116,7 +116,7 @@ def test_the_shipped_result_is_complete_and_valid():
 
 
 @pytest.mark.slow
-def test_a_run_is_stored_and_resumes_without_racing_again(tmp_path):
+def test_a_run_is_stored_and_the_command_resumes_it_without_racing_again(tmp_path, capsys):
     options = {"split": "olivermath", "jobs": 1, "plot": False}
     heard = []
     first = run_time_trial("ai", output=tmp_path, **options)
@@ -126,28 +126,8 @@ def test_a_run_is_stored_and_resumes_without_racing_again(tmp_path):
     (track,) = first.tracks
     assert (track.laps, track.finished) == (6, 1)
     assert 1.0 < track.ratio < 2.5
-
-
-# ------------------------------------------------------------------ the command
-
-
-@pytest.mark.slow
-def test_the_command_shows_times_records_and_ratios(tmp_path, capsys):
-    words = ["ai", "--time-trial", "--track", "olivermath", "--output", str(tmp_path / "out")]
-    assert main(["benchmark", *words, "--jobs", "1"]) == 0
+    words = ["ai", "--time-trial", "--track", "olivermath", "--output", str(tmp_path)]
+    assert main(["benchmark", *words]) == 0
     shown = capsys.readouterr().out
-    assert "57.08" in shown
-    assert "unfinished: -." in shown
-    assert (tmp_path / "out" / "benchmark.png").stat().st_size > 1000
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--forms", "P"], "leave out --forms"),
-        (["--baseline"], "not allowed with"),
-    ],
-)
-def test_options_that_contradict_the_records_are_refused(words, message, capsys):
-    assert main(["benchmark", "heuristic", "--time-trial", *words]) == 2
-    assert message in capsys.readouterr().err
+    assert all(text in shown for text in ("57.08", "unfinished: -."))
+    assert (tmp_path / "benchmark.png").stat().st_size > 1000

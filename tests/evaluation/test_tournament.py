@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import sys
+from types import SimpleNamespace as Namespace
 
 import jsonschema
 import pytest
@@ -16,6 +17,7 @@ from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     BatchError,
+    TournamentResult,
     load_tournament,
     plan_tournament,
     resume_tournament,
@@ -65,8 +67,11 @@ def races_in(folder):
 
 
 @pytest.mark.slow
-def test_all_races_have_the_planned_grids(small):
-    folder, result, _ = small
+def test_all_races_have_the_planned_grids_and_progress_is_reported(small):
+    folder, result, heard = small
+    assert [progress.done for progress in heard] == list(range(5))
+    assert {progress.total for progress in heard} == {4}
+    assert heard[-1].last.steps == 20
     plan = result.plan
     assert races_in(folder) == [f"{number:05d}.json" for number in range(4)]
     for race in plan.schedule():
@@ -109,14 +114,6 @@ def test_the_matrix_counts_meetings(small):
 
 
 @pytest.mark.slow
-def test_progress_is_reported_after_every_race(small):
-    _, _, heard = small
-    assert [progress.done for progress in heard] == list(range(5))
-    assert {progress.total for progress in heard} == {4}
-    assert heard[-1].last.steps == 20
-
-
-@pytest.mark.slow
 def test_a_finished_tournament_repeats_no_races(small):
     folder, result, _ = small
     stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
@@ -132,6 +129,20 @@ def test_better_agents_are_rated_better():
     ratings = rate([[0, 1, 2], [0, 2, 1], [0, 1, 2], [1, 0, 2]] * 5, 3)
     assert ratings[0].value > ratings[1].value > ratings[2].value
     assert all(rating.low < rating.value < rating.high for rating in ratings)
+
+
+@pytest.mark.parametrize(
+    ("intervals", "groups"),
+    [
+        ([(30, 40), (29, 33), (20, 29), (19, 28)], (1, 1, 2, 2)),
+        ([(30, 40), (39, 41), (31, 38)], (1, 1, 2)),  # the third overlaps only the first
+        ([(30, 40), (10, 20), (5, 35)], (1, 2, 2)),  # never better than somebody rated better
+        ([(25, 25), (25, 25)], (1, 1)),
+    ],
+)
+def test_all_intervals_of_a_group_overlap(intervals, groups):
+    standings = [Namespace(rating=Namespace(low=low, high=high)) for low, high in intervals]
+    assert TournamentResult.groups.fget(Namespace(standings=standings)) == groups
 
 
 @pytest.mark.parametrize("module", ["openskill.models", "jinja2"])
@@ -261,34 +272,6 @@ def test_a_race_that_never_ends_is_ended(tmp_path):
     settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 1.0}
     with pytest.raises(BatchError, match="it was not over after 1 s"):
         run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
-
-
-SLOW = """
-import time
-
-def get_actor(module_dir, observation_space, action_space):
-    steps = []
-    def actor(state, observation):
-        steps.append(0)
-        if len(steps) % 2 == {turn}:
-            time.sleep(1.5)
-        return dict.fromkeys(action_space, 0) | {{"acceleration": [0.0], "steer": [0.0]}}
-    return actor
-"""
-
-
-@pytest.mark.matrix
-def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
-    """They take turns, so that the absence of one of them does not let the race finish."""
-    for turn, name in enumerate("ab"):
-        (tmp_path / f"{name}.py").write_text(SLOW.format(turn=turn))
-    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 12.0}
-    agents = ["heuristic", *(str(tmp_path / f"{name}.py") for name in "ab")]
-    result = run_tournament(agents, output=tmp_path / "cup", **settings)
-    assert [race.order[0] for race in result.races] == ["heuristic"]
-    assert [row.reason for row in result.standings if row.label in "ab"] == [
-        "it has used up its time budget of 3 s for decisions"
-    ] * 2
 
 
 def test_a_race_that_was_late_is_repeated_with_a_time_budget():

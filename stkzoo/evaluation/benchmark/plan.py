@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -182,7 +181,6 @@ def plan_benchmark(
     forms: Sequence[str] = FORMS,
     seeds: int = 5,
     reverse: Sequence[bool] = (False, True),
-    ai_times: str | os.PathLike[str] | None = None,
     settings: RaceSettings | None = None,
     **changes: Any,
 ) -> BenchmarkPlan:
@@ -196,7 +194,6 @@ def plan_benchmark(
         forms: race forms; ``"PAAAA"`` means one kart of the agent and four of the AI.
         seeds: number of races for each track, direction, form and end of the grid.
         reverse: the directions: ``False`` for forward, ``True`` for reversed.
-        ai_times: a file with the AI's times; by default, the file that comes with stkzoo.
         settings: settings of every race. The benchmark itself sets the fields in
             ``BenchmarkPlan.decided``.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
@@ -213,7 +210,7 @@ def plan_benchmark(
         raise ConfigError(
             f"forms is {names}, expected different race forms, such as {', '.join(FORMS)}"
         )
-    times = load_ai_times(ai_times)
+    times = load_ai_times()
     return BenchmarkPlan(
         agents=find_agents([agent], chosen),
         split=split if isinstance(split, str) else " ".join(split),

@@ -19,15 +19,7 @@ from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, writ
 from stkzoo.evaluation.benchmark.plan import AgentPlan, benchmark_orders, measured_settings
 from stkzoo.evaluation.benchmark.races import FRONT, BenchmarkForm, BenchmarkRace, make_races
 from stkzoo.evaluation.benchmark.result import AgentBatchResult, race_outcomes
-from stkzoo.evaluation.plotting import (
-    BLUE,
-    GRAY,
-    INK,
-    new_figure,
-    save_figure,
-    shorten,
-    style_axes,
-)
+from stkzoo.evaluation.plotting import BLUE, GRAY, INK, new_figure, save_figure, shorten, style_axes
 from stkzoo.race.result import shared_protections
 from stkzoo.race.settings import RaceSettings
 from stkzoo.records import HUMAN_RECORDS, RECORD_DIFFICULTY, RECORD_KART, HumanRecord

@@ -64,13 +64,14 @@ class TournamentReport:
     def standings_csv(self) -> str:
         """Returns the standings as CSV, with one line per agent."""
         names = ("place", "label", "races", "wins", "mean_rank", "finished", "retired", "mean_time")
-        head = ("place", "agent", *names[2:], "rating", "low", "high", "reason")
+        head = ("place", "agent", *names[2:], "rating", "low", "high", "reason", "group", "source")
         rows = [
             (
                 *(getattr(row, name) for name in names),
-                *(row.rating.value, row.rating.low, row.rating.high, self.reason_of(row)),
+                *(row.rating.value, row.rating.low, row.rating.high, self.reason_of(row), group),
+                "" if self.is_public else row.source,
             )
-            for row in self.result.standings
+            for row, group in zip(self.result.standings, self.result.groups, strict=True)
         ]
         return _csv([head, *rows])
 

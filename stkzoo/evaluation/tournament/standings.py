@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -217,6 +218,22 @@ class TournamentResult(Document):
     def errors(self) -> int:
         """Total number of failures of agents."""
         return sum(row.errors for row in self.standings)
+
+    @property
+    def groups(self) -> tuple[int, ...]:
+        """The group of each agent in ``standings``, from 1: who may be equally good.
+
+        All intervals of a group overlap each other. The next group begins with the first agent
+        whose interval ends below one of them.
+        """
+        groups: list[int] = []
+        number, highest_low = 0, math.inf
+        for row in self.standings:
+            if row.rating.high < highest_low:
+                number, highest_low = number + 1, row.rating.low
+            highest_low = max(highest_low, row.rating.low)
+            groups.append(number)
+        return tuple(groups)
 
     def payoff(self, one: int, two: int) -> float | None:
         """Returns the fraction of their shared races in which one agent beat another.
