@@ -28,11 +28,11 @@ def test_files_for_the_forge_are_yaml(path):
     assert isinstance(yaml.safe_load(path.read_text("utf-8")), dict)
 
 
-def test_workflows_call_existing_targets():
+def test_workflows_and_pages_name_existing_targets():
     makefile = (ROOT / "Makefile").read_text("utf-8")
     called = set()
-    for path in FORGE:
-        called |= set(re.findall(r"run: make ([\w-]+)", path.read_text("utf-8")))
+    for path in [*FORGE, *ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]:
+        called |= set(re.findall(r"(?:run: |`)make ([\w-]+)", path.read_text("utf-8")))
     assert {"check", "test", "test-lowest", "docs"} <= called
     for target in called:
         assert re.search(rf"^{target}:", makefile, re.M), target
