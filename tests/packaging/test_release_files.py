@@ -50,7 +50,7 @@ def test_versions_agree():
     assert citation["version"] == PROJECT["project"]["version"] == stkzoo.__version__
     assert citation["license"] == PROJECT["project"]["license"]
     changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
-    assert f"\n## 1.0.0 - {citation['date-released']}\n" in changes
+    assert f"\n## {citation['version']} - {citation['date-released']}\n" in changes
 
 
 def test_all_includes_every_extra_for_users():
