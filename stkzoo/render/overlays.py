@@ -11,7 +11,7 @@ import numpy.typing as npt
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
 from stkzoo.render.pictures import fitted_text, font_of, grid_of, pillow
-from stkzoo.render.scene import Scene, clock, standings
+from stkzoo.render.scene import Scene, clock, ordinal, standings
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -63,6 +63,8 @@ def _draw_row(
 ) -> None:
     """Draws a badge with the rank, the name, shortened if it does not fit, and the outcome.
 
+    The rank is an ordinal, because plain numbers on the map are those of agents.
+
     Args:
         draw: Pillow's drawing.
         row: the row.
@@ -71,13 +73,13 @@ def _draw_row(
         unit: size of the font [pixels].
     """
     rank, name, color, outcome = row
-    (left, right), badge = between, unit * 1.5
-    box = [left, top, left + badge, top + badge]
+    (left, right), tall, badge = between, unit * 1.5, unit * 2.4
+    box = [left, top, left + badge, top + tall]
     draw.rounded_rectangle(box, radius=unit * 0.35, fill=rgb(color))
-    middle = top + badge / 2
-    ink = readable_on(color)
-    draw.text((left + badge / 2, middle), str(rank), ink, font_of(unit), anchor="mm")
-    small, font = font_of(int(unit * 0.85)), font_of(unit, name)
+    middle = top + tall / 2
+    ink, small = readable_on(color), font_of(int(unit * 0.85))
+    draw.text((left + badge / 2, middle), ordinal(rank), ink, small, anchor="mm")
+    font = font_of(unit, name)
     draw.text((right, middle), outcome, _FAINT, small, anchor="rm")
     left += badge + unit * 0.5
     name = fitted_text(name, font, right - small.getlength(outcome) - unit - left)
@@ -164,7 +166,7 @@ def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> N
     for number, line in enumerate(lines[: max(room, 1)]):
         begin, end, y = left + pad, width - pad, top + number * row
         _draw_row(draw, (line.rank, line.name, line.color, line.detail), (begin, end), y, unit)
-        bar, begin = y + unit * 1.5, begin + unit * 2
+        bar, begin = y + unit * 1.5, begin + unit * 3
         draw.rectangle([begin, bar - 2, end, bar], fill=_LINE)
         done = begin + (end - begin) * line.progress
         draw.rectangle([begin, bar - 2, done, bar], fill=rgb(line.color))

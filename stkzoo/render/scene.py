@@ -160,6 +160,12 @@ def standings(scene: Scene, snapshot: Snapshot) -> list[RaceStanding]:
     return sorted(lines, key=lambda line: (line.rank, line.kart))
 
 
+def ordinal(rank: int) -> str:
+    """Formats a rank, such as 1st."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")  # codespell:ignore nd
+    return f"{rank}{'th' if 10 < rank % 100 < 14 else ending}"
+
+
 def clock(seconds: float) -> str:
     """Formats a race time [s] as minutes, seconds and tenths."""
     tenths = round(max(0.0, seconds) * 10)

@@ -7,7 +7,7 @@ import pytest
 
 from stkzoo.render.map import MapView
 from stkzoo.render.palette import race_palette, readable_on, rgb
-from stkzoo.render.scene import clock, standings
+from stkzoo.render.scene import clock, ordinal, standings
 from tests.support.rendering import drive, small_race
 
 
@@ -102,9 +102,8 @@ def test_agents_have_the_first_colors_in_their_own_order(race):
 
 
 def test_a_clock_has_minutes_seconds_and_tenths():
-    assert [clock(s) for s in (-1.0, 0.04, 59.96, 125.32)] == [
-        "0:00.0",
-        "0:00.0",
-        "1:00.0",
-        "2:05.3",
-    ]
+    assert [*map(clock, (-1.0, 0.04, 59.96, 125.32))] == ["0:00.0", "0:00.0", "1:00.0", "2:05.3"]
+
+
+def test_ranks_differ_from_the_numbers_of_agents_on_the_map():
+    assert [*map(ordinal, (1, 2, 3, 4, 11, 21))] == ["1st", "2nd", "3rd", "4th", "11th", "21st"]

@@ -46,7 +46,7 @@ export class Standings {
       const failure = moment.failures[agent];
       const outcome = outcomes[agent];
       const rank = outcome?.rank ?? karts.rank[k];
-      badge.textContent = rank;
+      badge.textContent = ordinal(rank); // plain numbers on the map are those of agents
       detail.textContent = detailOf(karts, k, outcome);
       bar.style.width = `${100 * karts.progress[k]}%`;
       button.setAttribute("aria-pressed", k === chosen);
@@ -74,6 +74,11 @@ export class Standings {
       if (moved) row.animate([{ transform: `translateY(${moved}px)` }, { transform: "none" }], { duration: 350, easing: "ease-out" });
     });
   }
+}
+
+function ordinal(rank) {
+  const ending = { 1: "st", 2: "nd", 3: "rd" }[rank % 10] ?? "th";
+  return `${rank}${rank % 100 > 10 && rank % 100 < 14 ? "th" : ending}`;
 }
 
 function detailOf(karts, k, outcome) {
