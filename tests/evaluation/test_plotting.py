@@ -1,8 +1,19 @@
 """Plots show the names of agents as they are, and axes keep their formulas."""
 
-from stkzoo.evaluation import new_figure, plotting, save_figure
+from dataclasses import replace
+
+from stkzoo.evaluation import load_benchmark, new_figure, plot_benchmark, plotting, save_figure
 from stkzoo.evaluation.plotting import draw_intervals
 from stkzoo.evaluation.statistics import Estimate
+from tests.support.paths import ROOT
+
+
+def test_a_plot_of_races_without_rivals_has_no_empty_half(tmp_path):
+    result = load_benchmark(ROOT / "benchmarks/results/benchmark/heuristic.json")
+    alone = replace(result, races=tuple(race for race in result.races if race.form == "P"))
+    for drawn, has_rivals in ((result, True), (alone, False)):
+        plot_benchmark(drawn, tmp_path / "plot.svg")
+        assert ("Races won" in (tmp_path / "plot.svg").read_text()) == has_rivals
 
 
 def test_dollar_signs_in_names_are_no_formulas(tmp_path):

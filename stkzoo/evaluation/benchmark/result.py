@@ -194,20 +194,22 @@ def plot_benchmark(
     chances = {group.name: group.chance for group in groups if group.by == "form"}
     contests = [("form", name) for name, chance in chances.items() if chance is not None]
     height = 1.9 + len(rows) * (0.2 + 0.12 * len(drawn))
-    figure = new_figure(10, height)
-    times, wins = figure.subplots(1, 2, width_ratios=(3, 2))
+    widths = (6, 4) if contests else (6,)
+    figure = new_figure(sum(widths), height)
+    times, *rest = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False).flat
     _draw(times, drawn, rows, "time_ratio")
     times.axvline(1.0, color=GRAY, linewidth=1, linestyle="--", zorder=0)
     style_axes(times, "Time as a multiple of the AI's; less is better")
-    _draw(wins, drawn, contests, "win_rate", scale=100)
-    for row, (_, name) in enumerate(contests):
-        chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
-        wins.plot([chance, chance], ends, color=GRAY, linewidth=2, zorder=0)
-    wins.set_xlim(-3, 103)
-    style_axes(wins, "Races won [%]; the mark is chance")
+    for wins in rest:
+        _draw(wins, drawn, contests, "win_rate", scale=100)
+        for row, (_, name) in enumerate(contests):
+            chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
+            wins.plot([chance, chance], ends, color=GRAY, linewidth=2, zorder=0)
+        wins.set_xlim(-3, 103)
+        style_axes(wins, "Races won [%]; the mark is chance")
     if len(drawn) > 1:
         handles = times.get_legend_handles_labels()
-        figure.legend(*handles, loc="outside lower center", ncols=6)
+        figure.legend(*handles, loc="outside lower center", ncols=3 * len(widths))
     figure.suptitle(_title(drawn), color=INK, fontsize=11)
     save_figure(figure, path)
 
@@ -238,7 +240,7 @@ def _title(results: Sequence[BenchmarkResult]) -> str:
     plan = results[0].plan
     who = results[0].label if len(results) == 1 else f"{len(results)} agents"
     races = max(len(result.races) for result in results)
-    return f"{who}: {races} races on {plan.split}, difficulty {plan.settings.difficulty}"
+    return f"{who} on {plan.split}, difficulty {plan.settings.difficulty}; races: {races:,}"
 
 
 # ------------------------------------------------------------------ runs
