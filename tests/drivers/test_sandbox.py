@@ -1,6 +1,7 @@
 """What agents can read in their sandboxes."""
 
 import os
+import re
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -10,7 +11,8 @@ import pytest
 
 from stkzoo.drivers import confinement, sandbox
 from stkzoo.drivers.files import find_files
-from tests.support.paths import AGENTS
+from stkzoo.race import run_race
+from tests.support.paths import AGENTS, ROOT
 
 needs_bubblewrap = pytest.mark.skipif(
     bool(sandbox.bubblewrap_problem()), reason=sandbox.bubblewrap_problem()
@@ -77,6 +79,21 @@ def test_an_agent_reads_only_python_its_packages_and_itself(project, monkeypatch
     secrets = (project / "rivals" / "one.py", project / "src" / "code.py", Path.home() / ".ssh")
     for secret in secrets:
         assert [path for path in paths if secret.is_relative_to(path)] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", BOTH)
+def test_an_agent_gets_exactly_the_environment_variables_on_its_page(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(sandbox, "sandbox_kind", lambda _: kind)
+    for name in ("LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "SECRET"):
+        monkeypatch.setenv(name, "C")
+    agent = "text = open('/proc/self/environ').read()\nraise ValueError(text.replace('\\0', ' '))"
+    (tmp_path / "pystk_actor.py").write_text(agent)
+    (row,) = run_race([tmp_path], track="lighthouse", max_steps=1).agents
+    page = (ROOT / "docs/reference/agents.md").read_text("utf-8")
+    listed = {*re.findall(r"`(\w+)`", re.search(r"\| environment variables \|.*", page)[0])}
+    gets = {*re.findall(r"(\w+)=", row.errors[0].message)}
+    assert gets | {"PWD"} == listed
 
 
 def test_an_agent_reads_the_libraries_of_a_named_folder(project, monkeypatch):
