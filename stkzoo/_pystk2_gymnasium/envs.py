@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import Any
 
 from stkzoo._left_out import without_names
 from stkzoo._pystk2_gymnasium.utils import max_enum_value as max_enum_value
@@ -18,22 +18,9 @@ from stkzoo.names import Phase as Phase
 
 BaseSTKRaceEnv = GymnasiumRaceEnv
 
-
-class STKAction(TypedDict):
-    """An action of the ``full`` view, for annotations."""
-
-    acceleration: Any
-    steer: Any
-    brake: Any
-    drift: Any
-    fire: Any
-    nitro: Any
-    rescue: Any
-
-
-class STKDiscreteAction(STKAction):
-    """An action of :class:`~stkzoo.wrappers.DiscreteActionsWrapper`, for annotations."""
-
+#: Actions of the ``full`` view and of :class:`~stkzoo.wrappers.DiscreteActionsWrapper`, for
+#: annotations.
+STKAction = STKDiscreteAction = dict[str, Any]
 
 _LEFT_OUT = {
     **dict.fromkeys(("DirectSTKInterface", "PySTKProcess", "STKInterface"), "use an environment"),
