@@ -49,6 +49,11 @@ def make_console() -> Console:
     return console
 
 
+def counted(number: int, noun: str) -> str:
+    """Returns a number and a noun, which gets an ``s`` unless the number is 1."""
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+
+
 def say(text: str, console: Console | None = None) -> None:
     """Prints a text without wrapping, markup and emoji conversion.
 

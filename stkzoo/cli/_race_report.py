@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from stkzoo.cli._console import Bars, say, show_table
+from stkzoo.cli._console import Bars, counted, say, show_table
 from stkzoo.config import NORMAL
 from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 
@@ -55,26 +55,20 @@ def described(race: RaceResult | Replay) -> str:
 
 def show_race(result: RaceResult) -> None:
     """Prints the result of one race: its settings, the ranking, and failures of agents."""
-    laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
-    way = described(result)
     say(
-        f"{way}: {laps}, {result.race_length:.0f} m, "
+        f"{described(result)}: {counted(result.laps, 'lap')}, {result.race_length:.0f} m, "
         f"difficulty {result.difficulty}, seed {result.seed}"
     )
     styles = map(_style_of, result.agents)
     show_table(_RACE_COLUMNS, map(_race_cells, result.agents), styles=styles)
-    steps = "1 step" if result.steps == 1 else f"{result.steps} steps"
     reason = "" if result.status == "finished" else f" ({result.status.replace('_', ' ')})"
-    say(
-        f"Ended after {steps}, in {result.race_time:.1f} s of game time{reason}; "
-        f"it took {result.wall_time:.1f} s."
-    )
+    steps = f"{counted(result.steps, 'step')}, countdown included"
+    say(f"Ended after {steps}{reason}; it took {result.wall_time:.1f} s.")
     for row in result.agents:
         show_errors(row)
         if row.num_clipped:
-            say(
-                f"\n{row.driver} ({row.agent}): {row.num_clipped} actions were clipped to its space"
-            )
+            clipped = counted(row.num_clipped, "action")
+            say(f"\n{row.driver} ({row.agent}): {clipped} clipped to its space")
 
 
 def _race_cells(row: AgentResult) -> Sequence[object]:

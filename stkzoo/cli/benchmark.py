@@ -38,7 +38,7 @@ from typing import Any
 from stkzoo import evaluation
 from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
 from stkzoo.cli._batch import RUN_OPTIONS, directions_option, file_name, reverse_of, run_and_show
-from stkzoo.cli._console import say, show, show_facts, show_table
+from stkzoo.cli._console import counted, say, show, show_facts, show_table
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.result import BENCHMARK
 from stkzoo.evaluation.benchmark.time_trial import CLOSE, TIME_TRIALS
@@ -157,10 +157,10 @@ def show_results(results: Sequence[evaluation.BenchmarkResult]) -> None:
     _show_groups(groups)
     for result in results:
         plan = result.plan
-        errors = f"; the agent failed {result.errors} times" if result.errors else ""
+        errors = f"; the agent failed {counted(result.errors, 'time')}" if result.errors else ""
         interval = "with" if plan.seeds > 1 else "--seeds 2 or more gives"
         say(
-            f"{result.label}: {len(result.races)} of {len(plan.races())} races on "
+            f"{result.label}: {len(result.races)} of {counted(len(plan.races()), 'race')} on "
             f"{', '.join(plan.tracks)}; difficulty {plan.settings.difficulty}; {interval} "
             f"95% intervals{errors}."
         )
@@ -172,9 +172,10 @@ def _show_time_trial(result: evaluation.TimeTrialResult) -> None:
     columns = ("track", "laps", "time [s]", "record [s]", "ratio to the record")
     show_table(columns, rows)
     if result.mean_ratio is not None:
+        tracks = counted(len(result.tracks), "track")
         say(
-            f"{result.label}: mean ratio {result.mean_ratio:.3f} on {len(result.tracks)} tracks; "
-            f"{result.close} at {CLOSE} or less; unfinished: {', '.join(result.unfinished) or '-'}."
+            f"{result.label}: mean ratio {result.mean_ratio:.3f} on {tracks}; {result.close} at "
+            f"{CLOSE} or less; unfinished: {', '.join(result.unfinished) or '-'}."
         )
 
 

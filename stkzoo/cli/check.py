@@ -20,10 +20,10 @@ from functools import partial
 from typing import Any
 
 from stkzoo._arguments import options_of, positional
-from stkzoo.cli._console import say, show, show_table
+from stkzoo.cli._console import Bars, counted, say, show, show_table
 from stkzoo.cli._process import AGENT_FAILED
 from stkzoo.evaluation import AgentReport, check_agent
-from stkzoo.race import RaceSettings
+from stkzoo.race import RaceListener, RaceProgress, RaceSettings
 
 _SETTINGS = ("show_output", "action_timeout", "start_timeout", "agent_memory", "sandbox")
 
@@ -50,20 +50,26 @@ class CheckArguments:
 
 def run(arguments: CheckArguments) -> int:
     """Checks the agent. Returns 3 if a tournament would not accept it."""
-    report = check_agent(
-        arguments.agent,
-        track=arguments.track,
-        max_steps=arguments.max_steps,
-        seed=arguments.seed,
-        **arguments.settings,
-    )
+    settings = {**arguments.settings, "track": arguments.track, "seed": arguments.seed}
+    with _CheckBar() as bar:
+        steps = arguments.max_steps
+        bar.begin("checking the agent", steps)
+        report = check_agent(arguments.agent, max_steps=steps, listeners=[bar], **settings)
     as_text = partial(_show, track=arguments.track, limits=arguments.settings)
     show(report, as_text, as_json=arguments.json)
     return 0 if report.passed else AGENT_FAILED
 
 
+class _CheckBar(Bars, RaceListener):
+    """A bar on stderr while the agent is loaded and drives; see :class:`Bars`."""
+
+    def stepped(self, race: RaceProgress) -> None:
+        """Shows the steps so far."""
+        self.show(race.steps, counted(race.steps, "step"))
+
+
 def _show(report: AgentReport, track: str, limits: dict[str, Any]) -> None:
-    say(f"{report.name}: {report.steps} steps, {report.distance:.0f} m on {track}")
+    say(f"{report.name}: {counted(report.steps, 'step')}, {report.distance:.0f} m on {track}")
     times, limit = report.thinking_time, limits["action_timeout"]
     rows = [
         ("loading [s]", report.load_time, limits["start_timeout"]),

@@ -81,7 +81,7 @@ def run(arguments: DemosArguments) -> int:
     if demos is not None:
         finished = sum(facts.finish_time is not None for facts in demos.facts)
         print(
-            f"{file}: {len(demos)} drives ({finished} finished), {demos.num_steps:,} steps, view "
+            f"{file}: drives {len(demos)} ({finished} finished), steps {demos.num_steps:,}, view "
             f"{demos.view}\nread it with stkzoo.evaluation.load_demonstrations({str(file)!r})"
         )
     return code

@@ -23,7 +23,7 @@ import sys
 from dataclasses import asdict, dataclass
 
 from stkzoo._arguments import changed_options, options_of, positional, refuse_options
-from stkzoo.cli._console import show
+from stkzoo.cli._console import counted, show
 from stkzoo.cli._race_options import ViewingArguments
 from stkzoo.cli._race_report import RaceBar, described, show_race
 from stkzoo.errors import ConfigError, StkzooError
@@ -106,12 +106,11 @@ def _verdict(replay: Replay, playback: Playback) -> str:
 
 
 def _show_info(replay: Replay) -> None:
-    seconds = replay.steps * replay.step_size
     print(
-        f"{described(replay)}: laps {replay.laps}, difficulty {replay.difficulty}, "
+        f"{described(replay)}: {counted(replay.laps, 'lap')}, difficulty {replay.difficulty}, "
         f"seed {replay.seed}"
     )
-    print(f"{replay.steps} steps, {seconds:.1f} s of game time; it ended: {replay.status}")
+    print(f"{counted(replay.steps, 'step')}, countdown included; it ended: {replay.status}")
     if replay.is_partial:
         print("partial: the race was cut off; this is how far it had come")
     rows = {row.agent: row for row in replay.result.agents} if replay.result else {}

@@ -28,7 +28,7 @@ from stkzoo import suite
 from stkzoo._arguments import option, options_of, positional
 from stkzoo._checks import check_name
 from stkzoo.cli._batch import RUN_OPTIONS, file_name, run_and_show, run_batch
-from stkzoo.cli._console import say, show, show_facts, show_table
+from stkzoo.cli._console import counted, say, show, show_facts, show_table
 from stkzoo.cli.benchmark import show_results
 from stkzoo.evaluation import RunOptions
 from stkzoo.race import RaceSettings
@@ -259,7 +259,7 @@ def _verify(arguments: VerifyArguments) -> int:
         return code
     show(entry, _show_entry, as_json=arguments.json)
     if not arguments.json:
-        say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
+        say(f"Verified: {counted(len(entry.races), 'race')} as recorded, to the last bit.")
         say(suite.proof_of(entry, arguments.agent))
     return code
 
@@ -306,7 +306,7 @@ def _report(arguments: SuiteReportArguments) -> int:
     """
     report = suite.write_suite_report(arguments.runs, arguments.output)
     runs = sum(result.runs for task in report.tasks for result in task.algorithms)
-    say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
+    say(f"Wrote the report of {counted(runs, 'run')} to {arguments.output / 'report.md'}")
     return 0
 
 
@@ -344,7 +344,7 @@ def _show_entry(entry: suite.Entry) -> None:
     if task.has_population:
         say(f"The time ratio divides by the AI's time at difficulty {DIFFICULTY} in all races.")
     metric, count = task.metric.replace("_", " "), len(entry.plan.races())
-    races = f"{len(entry.races)} of {count} races"
+    races = f"{len(entry.races)} of {counted(count, 'race')}"
     races += f", fresh from {entry.plan.fresh!r}" if entry.plan.fresh else ""
     name = f"{entry.label} ({entry.plan.about.summary})"
     say(f"{name} in {task.name}: {metric} {score} in {races}.")

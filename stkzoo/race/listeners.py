@@ -28,7 +28,7 @@ class RaceProgress:
         sources: source of each agent.
         seed: seed of the environment's reset.
         steps: number of environment steps so far.
-        race_time: game time of these steps [s].
+        race_time: game time of these steps [s], countdown included.
         race_length: number of laps times the lap length [m].
         distances: distance driven by each agent [m], at most ``race_length``.
         observations: current observations by agent, in the ``full`` view; without agents that

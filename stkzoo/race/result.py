@@ -156,7 +156,8 @@ class RaceResult(Document):
         seed: seed of the environment's reset; the same seed gives the same race.
         race_length: number of laps times the lap length [m].
         steps: number of environment steps.
-        race_time: game time of these steps [s].
+        race_time: game time of these steps [s]; the countdown is part of it, unlike in times
+            after GO, such as a finish time.
         agents: one entry per agent, best rank first.
         versions: versions of the software. This attribute and those below do not affect ``==``.
         wall_time: real duration [s].

@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from stkzoo.cli import main
+from stkzoo.cli import _console, main
 from stkzoo.race import run_race
 from stkzoo.tracks import SPLITS
 from tests.support.paths import AGENTS
@@ -30,10 +30,12 @@ def test_the_starter_agent_finishes_every_training_track(track, starter):
 
 
 @pytest.mark.slow
-def test_the_starter_of_another_view_acts_in_that_view(tmp_path, capsys):
+def test_the_starter_of_another_view_acts_in_that_view(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_console, "_QUIET_INTERVAL", 0.0)  # a line for each step
     folder = tmp_path / "racer"
     assert main(["new", str(folder), "--view", "racing"]) == 0
     assert main(["check", str(folder), "--max-steps", "5"]) == 0
+    assert "checking the agent: 1 step\nchecking the agent: 2 steps" in capsys.readouterr().err
     actor = folder / "pystk_actor.py"
     actor.write_text(actor.read_text("utf-8").replace("racing-v0", "racing-v1"), "utf-8")
     assert main(["check", str(folder)]) == 3

@@ -12,14 +12,7 @@ from gymnasium import spaces
 
 from stkzoo import ActionError, AgentSpec, race_v0
 from tests.support.paths import ROOT
-from tests.support.playing import (
-    RandomPolicy,
-    arrays_in,
-    assert_in,
-    fingerprint,
-    play,
-    trace,
-)
+from tests.support.playing import RandomPolicy, arrays_in, assert_in, fingerprint, play, trace
 from tests.support.processes import run_program
 from tests.support.views import each_view_and_a_walked_one
 

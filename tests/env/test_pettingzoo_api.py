@@ -6,12 +6,7 @@ import functools
 
 import pettingzoo
 import pytest
-from pettingzoo.test import (
-    api_test,
-    max_cycles_test,
-    parallel_api_test,
-    parallel_seed_test,
-)
+from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test
 from pettingzoo.test.state_test import state_test
 
 from stkzoo import race_v0

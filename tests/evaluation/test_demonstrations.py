@@ -186,7 +186,7 @@ def test_the_command_records(tmp_path, capsys):
     file = tmp_path / "d.safetensors"
     assert main(["demos", *COMMAND, "--output", str(file)]) == 0
     out = capsys.readouterr().out
-    assert "1 drives (0 finished), 40 steps, view racing" in out
+    assert "drives 1 (0 finished), steps 40, view racing" in out
     assert not (tmp_path / "d.safetensors.parts").exists()
 
 

@@ -10,19 +10,8 @@ import pytest
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training import rate
-from stkzoo.agents.training.common.matches import (
-    Finish,
-    Match,
-    MatchRecord,
-    play_matches,
-)
-from stkzoo.agents.training.rate import (
-    START,
-    draw_match,
-    kept_policies,
-    main,
-    run_drivers,
-)
+from stkzoo.agents.training.common.matches import Finish, Match, MatchRecord, play_matches
+from stkzoo.agents.training.rate import START, draw_match, kept_policies, main, run_drivers
 from stkzoo.errors import ConfigError
 from tests.support.networks import small_network
 

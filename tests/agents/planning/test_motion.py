@@ -8,12 +8,7 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents import heuristic
-from stkzoo.agents.planning.motion import (
-    BOOST_STEPS,
-    DRIFT_APART,
-    DRIFT_TURN,
-    learned_motion,
-)
+from stkzoo.agents.planning.motion import BOOST_STEPS, DRIFT_APART, DRIFT_TURN, learned_motion
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.training.learn_motion import drive, errors_of
 

@@ -357,7 +357,7 @@ def test_race_replay_and_info(tmp_path, capsys):
     assert main(["race", "heuristic", "ai", *words]) == 0
     assert main(["replay", path, "--info"]) == 0
     shown = capsys.readouterr().out
-    assert "20 steps, 2.0 s of game time; it ended: max_steps" in shown
+    assert "20 steps, countdown included; it ended: max_steps" in shown
     assert main(["replay", path, "--json"]) == 0
     form = json.loads(capsys.readouterr().out)
     assert (form["is_exact"], form["result"]["seed"]) == (True, 1)

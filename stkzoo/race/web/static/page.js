@@ -80,7 +80,7 @@ function takeResult({ result }) {
   const winner = now.race?.karts[order[0]]?.name ?? "";
   const text = ENDINGS[result.status] ?? `The race was cut short (${result.status.replaceAll("_", " ")}).`;
   const lead = result.agents.some((row) => row.finish_time !== null) ? "won" : "was ahead";
-  notice(`${text} ${winner} ${lead}; ${result.steps} steps, ${clock(result.race_time)} of game time.`);
+  notice(`${text} ${winner} ${lead}; ${result.steps} steps, countdown included.`);
 }
 
 function lose() {
