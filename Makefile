@@ -120,7 +120,7 @@ docs: $(VENV)/.docs
 # Builds everything that a release uploads and this machine can build: the source distribution and, from
 # it, a wheel for each interpreter in PYTHONS. The workflow release.yml builds wheels for other systems.
 PYTHONS ?= $(PYTHON)
-RELEASE_TOOLS := PATH="$(CURDIR)/$(BIN):$$PATH"
+RELEASE_TOOLS := PATH="$(abspath $(BIN)):$$PATH"
 release: $(VENV)/.release | compiler
 	rm -rf dist build/wheels
 	$(BIN)/uv build --quiet --sdist --out-dir dist .
