@@ -1,6 +1,7 @@
 """Builds the C kernel, the planner's C, and the functions of the C library that races use."""
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -74,10 +75,7 @@ _KERNEL = Extension(
 _PLANNING = Extension(
     "stkzoo.agents.planning._planning",
     sources=[
-        *(
-            f"agents/planning/{part}.c"
-            for part in ("module", "memory", "network", "viewer", "weigher")
-        ),
+        *(f"agents/planning/{part}.c" for part in _PLANNING_PARTS),
         "stkzoo/kernel/arguments.c",
         *_LIBM_SOURCES,
     ],
@@ -97,4 +95,20 @@ _LIBM = Extension(
     libraries=_LIBRARIES,
 )
 
-setup(ext_modules=[_KERNEL, _PLANNING, *([_LIBM] if _IS_LINUX else [])])
+
+def _description() -> str:
+    """Returns the README with absolute addresses, which a package index needs."""
+    settings = Path("pyproject.toml").read_text("utf-8")
+    (repository,) = re.findall(r'^Repository = "(.*?)"', settings, re.MULTILINE)
+    (version,) = re.findall(r'^version = "(.*?)"', settings, re.MULTILINE)
+    text = Path("README.md").read_text("utf-8")
+    for before, kind in ((r'src="', "raw"), (r"!\[[^\]]*\]\(", "raw"), (r"\]\(", "blob")):
+        text = re.sub(rf"({before})(?!https?:|#)", rf"\1{repository}/{kind}/v{version}/", text)
+    return text
+
+
+setup(
+    ext_modules=[_KERNEL, _PLANNING, *([_LIBM] if _IS_LINUX else [])],
+    long_description=_description(),
+    long_description_content_type="text/markdown",
+)

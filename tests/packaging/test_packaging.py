@@ -88,6 +88,12 @@ def test_the_files_pass_the_checks_of_the_index(built):
     checker = Path(sys.executable).parent / "check-wheel-contents"
     code, said = run([str(checker), wheel], cwd=ROOT)
     assert code == 0, said
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        metadata = archive.read(name).decode()
+    targets = re.findall(r'(?:\]\(|src=")([^)"]+)', metadata)
+    assert len(targets) > 20
+    assert [target for target in targets if not target.startswith("https://")] == []
 
 
 def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
