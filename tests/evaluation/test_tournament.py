@@ -160,6 +160,18 @@ def test_agents_at_the_same_place_are_tied():
     assert ordered[0].value > ordered[1].value + 3
 
 
+@pytest.mark.matrix
+def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
+    slow = AGENTS / "hostile" / "slow.py"
+    settings = {**SMALL, "races": 1, "max_steps": 80, "race_timeout": 12.0}
+    agents = ["heuristic", f"{slow}@:a", f"{slow}@:b"]
+    result = run_tournament(agents, output=tmp_path / "cup", **settings)
+    assert [race.order[0] for race in result.races] == ["heuristic"]
+    assert [row.reason for row in result.standings if row.label in "ab"] == [
+        "it has used up its time budget of 3 s for decisions"
+    ] * 2
+
+
 @pytest.mark.slow
 def test_no_agent_wins_a_race_in_which_all_agents_failed(tmp_path):
     agents = [str(AGENTS / "hostile" / name) for name in ("unloadable.py", "no_actor.py")]

@@ -430,13 +430,3 @@ def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):
         env.reset(seed=1)
         with pytest.raises(ConfigError, match="libegl1"):
             env.render()
-
-
-@pytest.mark.slow
-def test_drawing_without_pillow_names_the_libraries():
-    code = (
-        "import sys; sys.modules['PIL'] = None\nfrom stkzoo.render.pictures import pillow\npillow()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "ConfigError: drawing needs Pillow" in done.stderr
-    assert "pillow>=" in done.stderr
