@@ -166,35 +166,31 @@ def pytorch(karts: int, races: int, number: int, track: str, iterations: int) ->
     _use_cores(number)
     import stkzoo
 
-    meter, marks, groups = Meter(), [], []
+    meter, marks = Meter(), []
 
     class Races(stkzoo.RaceVectorEnv):
-        """A group of races; the first one records the times and counts at each rollout's start."""
+        """Records the times and counts at the start of each rollout."""
 
         def __init__(self, _: int, **options: Any) -> None:
             race = {"num_kart": karts, "track": track, "max_cycles": _MAX_CYCLES, "num_starts": 32}
-            super().__init__(races // 2, **options | race)
-            self.step_async = meter.timed("observing", super().step_async)  # type: ignore[method-assign]
-            self.timed_wait = meter.timed("observing", super().step_wait)
+            super().__init__(races, **options | race)
+            self.timed_step = meter.timed("observing", super().step)
             self.count = self.kart_steps = 0
-            groups.append(self)
 
-        def step_wait(self) -> Any:
-            if self is groups[0] and self.count % _STEPS == 0:
+        def step(self, actions: Any) -> Any:
+            if self.count % _STEPS == 0:
                 self.mark()
             self.count += 1
-            result = self.timed_wait()
+            result = self.timed_step(actions)
             self.kart_steps += int(result[4]["active"].sum())
             return result
 
         def mark(self) -> None:
             now = time.perf_counter(), time.process_time(), engine_time(())
-            made = sum(group.kart_steps for group in groups)
-            marks.append((*now, made, dict(meter.seconds)))
+            marks.append((*now, self.kart_steps, dict(meter.seconds)))
 
         def close(self, **options: Any) -> None:
-            if self is groups[0]:
-                self.mark()
+            self.mark()
             super().close(**options)
 
     stkzoo.RaceVectorEnv = Races  # type: ignore[misc] # for the program of the page
