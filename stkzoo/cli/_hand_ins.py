@@ -1,4 +1,4 @@
-"""Hand-ins of a course: the zips of its participants, of which one each races."""
+"""Hand-ins of a course: chooses the zip that races for each participant."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from files on a short track takes about 15 s; --jobs races run at the same time.
 
 Name agents as for `stkzoo race`: ai, heuristic, random, a folder, a zip or a module; append
 @:Name to rename one. --hand-ins takes the zips of a course: FOLDER has a zip for each participant,
-or a folder with all zips of the participant, of which the newest valid one races.
+or a folder with all of the participant's zips. The newest valid zip races.
 
 Examples:
   stkzoo tournament heuristic ai random my_agent/ --track lighthouse hacienda

@@ -98,8 +98,9 @@ class RaceSettings:
         for name in ("max_steps", "max_steps_after_first", "karts_finished", "agent_memory"):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 1)
-        for name in ("action_timeout", "start_timeout", "time_budget"):
-            if name == "start_timeout" or getattr(self, name) is not None:
+        check_number("start_timeout", self.start_timeout, unit="seconds")
+        for name in ("action_timeout", "time_budget"):
+            if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), unit="seconds")
         for name, known in (("sandbox", MODES), ("error_handling", ERROR_HANDLING)):
             if not isinstance(value := getattr(self, name), str) or value not in known:

@@ -31,9 +31,10 @@ _NAMESPACE = "stkzoo-suite"
 #: Difficulty of the races, where the population does not require another one. Time limits and
 #: time ratios use the AI's times at this difficulty in all races.
 DIFFICULTY = 3
-#: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of
-#: learners of their tasks: self-play needs two. ``blind`` also needs teams.
-ALGORITHMS = {"ippo": 1, "mappo": 2, "pfsp": 2, "blind": 2}
+_SEVERAL, _TEAMS = "several learners", "teams"
+#: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and what their tasks must
+#: have; empty for nothing.
+ALGORITHMS = {"ippo": "", "mappo": _SEVERAL, "pfsp": _SEVERAL, "blind": _TEAMS}
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 
@@ -213,9 +214,8 @@ def can_learn(algorithm: str, task: Task) -> bool:
         algorithm: name of the algorithm.
         task: the task.
     """
-    if algorithm not in ALGORITHMS:
-        return True
-    return task.learners >= ALGORITHMS[algorithm] and (algorithm != "blind" or bool(task.teams))
+    needs = ALGORITHMS.get(algorithm)
+    return bool(task.teams) if needs == _TEAMS else not needs or task.learners > 1
 
 
 # ------------------------------------------------------------------ ids

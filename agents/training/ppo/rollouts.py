@@ -33,7 +33,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 #: Columns of the views ``racing`` and ``contest`` with the kart's own state, and of its rank.
 _OWN, _RANK = slice(0, PLACES["line_position"].start), SIZE
-#: Share of the karts that observe and act with left and right swapped, except without a filter.
+#: Share of the karts that observe and act with left and right swapped, with plans or a filter.
 _MIRROR_SHARE = 0.5
 
 

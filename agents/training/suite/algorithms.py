@@ -10,7 +10,6 @@ stkzoo suite train versus ippo
 - ``pfsp``, prioritized fictitious self-play: in half of the races, one of 40 past policies drives
   one of the teams or half of the karts (:mod:`stkzoo.agents.training.ppo.opponents`). Its
   kart-steps count too.
-
 - ``blind`` is ``ippo`` whose karts do not see which karts are mates, for comparison in tasks with
   teams.
 
@@ -33,7 +32,7 @@ from stkzoo._checks import check_whole
 from stkzoo._schema import Share
 from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.errors import ConfigError
-from stkzoo.suite import Task, can_learn, find_task
+from stkzoo.suite import ALGORITHMS, Task, can_learn, find_task
 from stkzoo.wrappers.racing import CONTEST_SIZE, SIZE
 
 from ..common.arguments import BatchSize, Coefficient, Natural, RolloutArguments
@@ -146,7 +145,7 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
 def _check_task(task: Task, algorithm: str) -> None:
     if algorithm in _ALGORITHMS and not can_learn(algorithm, task):
         raise ConfigError(
-            f"{algorithm} needs {'teams' if algorithm == 'blind' else 'several learners'}, which "
+            f"{algorithm} needs {ALGORITHMS[algorithm]}, which "
             f"{task.name} does not have; use ippo, which is the same there"
         )
 

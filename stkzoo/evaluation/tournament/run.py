@@ -85,6 +85,11 @@ def tournament_orders(plan: TournamentPlan) -> list[TournamentOrder]:
     ]
 
 
+def _check() -> None:
+    require_openskill()
+    require_jinja2()
+
+
 def _write(result: TournamentResult, results: RaceResults, folder: Path) -> None:
     written(RESULT_FILE)(result, results, folder)
     if results:
@@ -96,7 +101,7 @@ TOURNAMENT = BatchKind(
     tournament_orders,
     lambda plan, results, _: summarize_tournament(plan, results),
     _write,
-    check=lambda: (require_openskill(), require_jinja2()),
+    check=_check,
 )
 
 
