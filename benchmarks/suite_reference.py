@@ -7,7 +7,8 @@
 Each run has a folder, such as ``runs/suite/versus-ippo-0``: what ``stkzoo suite train`` writes, the
 entry of its agent (``entry``) and the evaluation on the training tracks (``entry-train``). Agents
 of ``ippo`` are also evaluated with the most likely choices (``entry-argmax``), and without recovery
-of stuck karts (``entry-unrecovered``). One run is trained at a time, with all cores; all tasks and
+of stuck karts (``entry-unrecovered``). ``sb3`` is the library baseline
+(:mod:`benchmarks.suite_sb3`). One run is trained at a time, with all cores; all tasks and
 algorithms of a seed come before the next seed. ``stkzoo suite report runs/suite`` reads these
 folders.
 
@@ -30,6 +31,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from benchmarks import suite_sb3
 from benchmarks.common import RESULTS, parser
 from stkzoo._os import file_digest, write_text, write_whole
 from stkzoo.agents.training.evaluate import newest_policy
@@ -79,34 +81,51 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(f"{options.archive} has {packed} of {len(names)} runs")
         return 0
     for name in names:
-        folder = options.folder / name
+        folder, (task, algorithm, seed) = options.folder / name, runs[name]
+        run = task, algorithm, seed, options.kart_steps or find_task(task).budget
         if options.only_evaluate and not (folder / "agent").is_dir():
             console.print(f"{name}: is not trained")
             continue
         if not options.only_evaluate:
-            task, algorithm, seed = runs[name]
-            budget = options.kart_steps or find_task(task).budget
-            algorithms.run(algorithm, folder, task, budget, seed)
-        console.print(f"{name}: {_evaluate(folder, *runs[name][:2], options.jobs)}")
+            _train(folder, *run)
+        console.print(f"{name}: {_evaluate(folder, *run, options.jobs)}")
     return 0
 
 
 def reference_runs() -> dict[str, tuple[str, str, int]]:
     """Returns task, algorithm and seed of all runs by name, in the order of their training."""
-    runs = itertools.product(SEEDS, ALGORITHMS, REFERENCE_TASKS)
+    runs = itertools.product(SEEDS, (*ALGORITHMS, suite_sb3.ALGORITHM), REFERENCE_TASKS)
     return {
         f"{task}-{algorithm}-{seed}": (task, algorithm, seed)
         for seed, algorithm, task in runs
         if can_learn(algorithm, find_task(task))
+        and (algorithm in ALGORITHMS or task == suite_sb3.TASK)
     }
 
 
-def _evaluate(folder: Path, task: str, algorithm: str, jobs: int | None) -> str:
+def _train(folder: Path, task: str, algorithm: str, seed: int, kart_steps: int) -> None:
+    """Trains a run, or continues its training."""
+    if algorithm in ALGORITHMS:
+        algorithms.run(algorithm, folder, task, kart_steps, seed)
+    elif not (folder / "agent").is_dir():
+        suite_sb3.train(folder, kart_steps, seed)
+
+
+def _evaluate(
+    folder: Path, task: str, algorithm: str, seed: int, kart_steps: int, jobs: int | None
+) -> str:
     """Evaluates the agent of a run, or continues its evaluations; returns the scores."""
     agent, scores = str(folder / "agent"), []
+    about = About()  # the agent's card says the rest
+    if algorithm not in ALGORITHMS:
+        about = About(
+            agent_class="learned", algorithm=algorithm, training_seed=seed, kart_steps=kart_steps
+        )
     for split, name in _EVALUATIONS.items():
         output = folder / name
-        entry = evaluate(task, agent, split=split, output=output, jobs=jobs, plot=False)
+        entry = evaluate(
+            task, agent, split=split, about=about, output=output, jobs=jobs, plot=False
+        )
         scores.append(f"{entry.score} on the {split} tracks")
     for variant, changes in _VARIANTS.items() if algorithm == "ippo" else ():
         name, policy = f"{algorithm}_{variant}", newest_policy(str(folder))

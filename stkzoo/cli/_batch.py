@@ -75,7 +75,7 @@ def run_batch(
 
         def update(progress: BatchProgress) -> None:
             last = progress.last
-            text = f", {last.track}: {last.agents[0].driver}" if last else ""
+            text = f", {last.agents[0].driver} won on {last.track}" if last else ""
             counts = f"{progress.done} of {progress.total}"
             bars.show(progress.done, counts + text, progress.total)
 

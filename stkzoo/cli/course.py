@@ -89,7 +89,7 @@ def _add_wheels(folder: Path, wheels: Sequence[Path]) -> str:
     versions = {wheel.name.split("-")[1] for wheel in folder.glob("stkzoo-*.whl")}
     if len(versions) != 1:
         raise ConfigError(
-            f"the kit has wheels of {len(versions)} versions of stkzoo, expected one version; name "
-            "its wheels: --wheel stkzoo-*.whl"
+            f"the kit has wheels of the versions {', '.join(sorted(versions)) or '(none)'} of "
+            "stkzoo, expected one version; name its wheels: --wheel stkzoo-*.whl"
         )
     return versions.pop()

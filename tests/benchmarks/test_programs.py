@@ -15,7 +15,7 @@ from tests.support.suite_runs import constant, write_run
 
 pytestmark = pytest.mark.slow
 
-SUITE = "suite_baselines", "suite_pilot", "suite_reference"
+SUITE = "suite_baselines", "suite_pilot", "suite_reference", "suite_teams"
 PROGRAMS = ("steps", "learners", "parity", "ecosystem", *SUITE)
 
 

@@ -46,7 +46,9 @@ export class RaceMap {
   // Returns the karts with positions interpolated between the last two updates.
   shown(now) {
     const { before, after } = this;
-    const part = this.duration > 0 ? Math.min((now - this.since) / this.duration, 1) : 1;
+    // A frame may be older than the last update.
+    const passed = Math.max(now - this.since, 0);
+    const part = this.duration > 0 ? Math.min(passed / this.duration, 1) : 1;
     const end = after.karts;
     if (part >= 1) return end;
     const between = (name) => end[name].map((value, k) => {
