@@ -25,6 +25,8 @@ from stkzoo.race.document import Document
 _UNLIMITED = 10_000
 #: Minimum time between two lines about the same stage without a terminal [s].
 _QUIET_INTERVAL = 10.0
+#: Time over which a bar measures its speed [s]; races of a batch end in groups.
+_SPEED_PERIOD = 3600.0
 
 
 @dataclass
@@ -155,6 +157,7 @@ class Bars(rich.progress.Progress):
             TextColumn("{task.fields[text]}", markup=False),
             TimeRemainingColumn(),
             console=console,
+            speed_estimate_period=_SPEED_PERIOD,
             transient=True,
             disable=not console.is_terminal,
         )

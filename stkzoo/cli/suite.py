@@ -343,6 +343,7 @@ def _show_entry(entry: suite.Entry) -> None:
         return
     if task.has_population:
         say(f"The time ratio divides by the AI's time at difficulty {DIFFICULTY} in all races.")
+    say("A kart that does not finish has a time ratio of 3.")
     metric, count = task.metric.replace("_", " "), len(entry.plan.races())
     races = f"{len(entry.races)} of {counted(count, 'race')}"
     races += f", fresh from {entry.plan.fresh!r}" if entry.plan.fresh else ""

@@ -67,7 +67,7 @@ _OUT_OF_REACH = (
     "OSError: [Errno 30]",
     "OSError: [Errno 38]",
 )
-_HINT = " (the sandbox hides files and refuses system calls; --sandbox off disables it)"
+_HINT = " (the sandbox shows only the agent's own files, and refuses some system calls)"
 
 
 class IsolatedAgent:

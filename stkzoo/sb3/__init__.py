@@ -8,7 +8,7 @@
 ... )
 >>> envs.close()
 
-This package needs the ``sb3`` extra (in a checkout, ``pip install ".[sb3]"``). ``import stkzoo``
+This package needs the ``sb3`` extra (``pip install "stkzoo[sb3]"``). ``import stkzoo``
 does not import it.
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -90,7 +91,7 @@ def keep_plan(plan: Plan, folder: Path) -> Plan:
     if stored is not None:
         plan = plan.continuing(stored)
         if differences := plan_differences(stored, plan):
-            command = plan.resume_command.format(folder=folder)
+            command = plan.resume_command.format(folder=shlex.quote(str(folder)))
             raise ConfigError(
                 f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another "
                 f"output, or undo the change and resume: {command}"
