@@ -1,6 +1,7 @@
 """Builds the C kernel, the planner's C, and the functions of the C library that races use."""
 
 import os
+import platform
 import re
 import shlex
 import subprocess
@@ -39,6 +40,7 @@ if sys.platform == "linux" and _COMPILING & set(sys.argv):
 
 _IS_LINUX = sys.platform == "linux"
 _LIBM_SOURCES = ["stkzoo/engine/libm.c"] if _IS_LINUX else []
+_IS_X86 = platform.machine() in ("x86_64", "AMD64")
 _PARTS = (
     "module",
     "action_reader",
@@ -87,13 +89,16 @@ _PLANNING = Extension(
     extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
     libraries=_LIBRARIES,
 )
-# Not a Python module: the dynamic linker loads it into engine processes.
-_LIBM = Extension(
-    "stkzoo.engine._libm",
-    sources=_LIBM_SOURCES,
-    extra_compile_args=_FLAGS,
-    libraries=_LIBRARIES,
-)
+# Not Python modules: the dynamic linker loads them into engine processes.
+_PRELOADED = [
+    Extension(
+        f"stkzoo.engine._{name}",
+        sources=[f"stkzoo/engine/{name}.c"],
+        extra_compile_args=_FLAGS,
+        libraries=_LIBRARIES,
+    )
+    for name in ("libm", *["shortcuts"] * _IS_X86)
+]
 
 
 def _description() -> str:
@@ -108,7 +113,7 @@ def _description() -> str:
 
 
 setup(
-    ext_modules=[_KERNEL, _PLANNING, *([_LIBM] if _IS_LINUX else [])],
+    ext_modules=[_KERNEL, _PLANNING, *(_PRELOADED if _IS_LINUX else [])],
     long_description=_description(),
     long_description_content_type="text/markdown",
 )

@@ -538,7 +538,7 @@ def test_training_programs_without_their_extras_name_them(tmp_path):
         if "__main__" in file.read_text("utf-8")
     ]
     programs = {name: PROGRAMS.get(name, "--output new") for name in names}
-    missing = ["cma", "matplotlib", "openskill", "ray", "stable_baselines3", "threadpoolctl"]
+    missing = ["matplotlib", "openskill", "ray", "stable_baselines3", "threadpoolctl"]
     arguments = json.dumps([programs, [*missing, "torch"]])
     command = [sys.executable, "-W", "ignore", "-c", WITHOUT_EXTRAS, arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)

@@ -11,7 +11,7 @@ The inner loops are in the C extension ``_planning``, typed by ``_planning.pyi``
 ``tests/oracle`` check them.
 
 The planner was developed on the training tracks of :mod:`stkzoo.tracks` only. An evolution strategy
-tuned most of its parameters there (:mod:`stkzoo.agents.training.tune_plans`).
+tuned most of its parameters there (``benchmarks/results/research-log.md``).
 """
 
 from __future__ import annotations

@@ -256,8 +256,8 @@ class ExportOptions:
         name: name of the agent.
         output: folder of the agent.
         ensemble_weight: make an ensemble of networks and plans with this weight; 1 is usual.
-        plans: JSON file of plan parameters for an ensemble, such as best.json of tune_plans; empty
-            takes those with which its policies over plans learned, or the default.
+        plans: JSON file of plan parameters for an ensemble (DriverParameters); empty takes those
+            with which its policies over plans learned, or the default.
     """
 
     weights: tuple[Path, ...] = positional()

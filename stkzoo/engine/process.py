@@ -20,6 +20,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib import metadata
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import IO
@@ -46,9 +47,13 @@ NO_COPIES = (
     "use_subprocess=True, and with STKZOO_START_METHOD not set to spawn"
 )
 
-#: Functions of the C library with the same results in all its versions (``stkzoo/engine/libm.c``).
-#: Only Linux has the file.
-LIBM = Path(__file__).with_name("_libm" + EXTENSION_SUFFIXES[0])
+#: Functions of the C library with the same results in all its versions (``stkzoo/engine/libm.c``),
+#: and faster forms of functions of the engine (``shortcuts.c``). Only Linux has the files.
+LIBM, SHORTCUTS = (
+    Path(__file__).with_name(name + EXTENSION_SUFFIXES[0]) for name in ("_libm", "_shortcuts")
+)
+#: The version of the engine to which :data:`SHORTCUTS` belongs.
+_ENGINE_VERSION = "0.7.4"
 
 #: Environment variables that limit numerical libraries to one thread.
 ONE_THREAD = dict.fromkeys(
@@ -222,18 +227,21 @@ def spawn_interpreter(
             stdin=subprocess.DEVNULL,
             stdout=log.fileno(),
             stderr=log.fileno(),
-            env={**environment, **_preloads(environment)},
+            env={**environment, **_preloads(environment, module)},
             start_new_session=True,  # Ctrl-C in the terminal must reach only the program
             pass_fds=[channel.fileno()],
         )
 
 
-def _preloads(environment: Mapping[str, str]) -> dict[str, str]:
-    """Returns the environment variables with which a process loads :data:`LIBM` first."""
+def _preloads(environment: Mapping[str, str], module: str) -> dict[str, str]:
+    """Returns the environment variables with which a process first loads stkzoo's libraries."""
     if not LIBM.exists():
         return {}
     # The list of libraries can name files, but has no paths with spaces.
     libraries = [environment.get("LD_PRELOAD"), LIBM.name]
+    is_known = metadata.version("PySuperTuxKart2") == _ENGINE_VERSION
+    if SHORTCUTS.exists() and is_known and module != "render_process":
+        libraries.append(SHORTCUTS.name)
     folders = [str(LIBM.parent), environment.get("LD_LIBRARY_PATH")]
     return {
         "LD_PRELOAD": " ".join(filter(None, libraries)),

@@ -17,7 +17,6 @@ TRAINERS = {
     "imitation.imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],
     "ppo.selfplay": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],
     "sb3.selfplay": ["--total-timesteps=99999", "--races=2x1", *SMALL],
-    "tune_plans": ["--generations=50", "--population=3", "--track=lighthouse"],
     "league.league": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],
 }
 

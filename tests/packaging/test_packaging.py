@@ -119,9 +119,9 @@ def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
 def test_the_wheel_works_outside_the_checkout_without_a_compiler(installed, tmp_path):
     program = f"""
 import stkzoo
-from stkzoo.engine.process import LIBM
+from stkzoo.engine.process import LIBM, SHORTCUTS
 assert "site-packages" in stkzoo.__file__ and "outside" in stkzoo.__file__, stkzoo.__file__
-assert LIBM.exists()
+assert LIBM.exists() and SHORTCUTS.exists()
 {shortened(blocks("README.md", "python")[0])}"""
     demo = ["-m", "stkzoo", "race", "--demo", "--max-steps", "30"]
     for words in (["-c", program], ["-m", "stkzoo", "doctor"], demo):

@@ -10,7 +10,6 @@ from stkzoo.agents.training.league.league import LeagueArguments
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD
 from stkzoo.agents.training.sb3.selfplay import SB3Arguments
-from stkzoo.agents.training.tune_plans import TuningArguments
 from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_ONLY_TRACKS, VALIDATION_TRACKS
 
@@ -19,9 +18,7 @@ def test_names_of_splits_are_replaced_with_their_tracks():
     assert track_names(["lighthouse", "validation"]) == ("lighthouse", *VALIDATION_TRACKS)
 
 
-@pytest.mark.parametrize(
-    "kind", [DistillationArguments, LeagueArguments, SelfPlayArguments, TuningArguments]
-)
+@pytest.mark.parametrize("kind", [DistillationArguments, LeagueArguments, SelfPlayArguments])
 def test_training_excludes_the_validation_tracks(kind):
     assert kind(tracks=("train_only",)).tracks == TRAIN_ONLY_TRACKS
 
@@ -50,7 +47,6 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
         (SelfPlayArguments, {"seed": 2**32}, "seed is 4294967296, .* from 0 to 4294967295"),
         (SelfPlayArguments, {"hidden": (8, 8, 8)}, r"hidden is \(8, 8, 8\), expected 2 layers"),
         (SB3Arguments, {"n_steps": 1, "races": "1"}, "expected 2 or more steps"),
-        (TuningArguments, {"seed": 2**32 - 1}, "seed is 4294967295, .* from 0 to 4294967294"),
     ],
 )
 def test_numbers_out_of_bounds_are_refused(kind, given, text):

@@ -123,7 +123,6 @@ COMMANDS = {
     "rllib.selfplay": [],
     "imitation.imitate": [],
     "imitation.distill": [],
-    "tune_plans": [],
     "rate": ["another-run"],
 }
 

@@ -126,7 +126,7 @@ def keep_arguments(
 
 
 def plan_parameters(file: str | Path) -> DriverParameters:
-    """Reads plan parameters from ``best.json`` of ``tune_plans`` or from a run's arguments.
+    """Reads plan parameters from a file with an object of them, or from a run's arguments.
 
     Args:
         file: path of the file; empty for the default parameters.
@@ -136,7 +136,7 @@ def plan_parameters(file: str | Path) -> DriverParameters:
     """
     if not file:
         return DriverParameters()
-    with reading(f"{str(file)!r} has no parameters of plans", "a best.json or arguments.json"):
+    with reading(f"{str(file)!r} has no parameters of plans", "an object, or an arguments.json"):
         content: Any = load_json(file, Any)
         if isinstance(content, list):
             content = content[-1]["rules"]

@@ -64,7 +64,7 @@ class SelfPlayArguments(RolloutArguments):
         num_starts: number of different starts of each kind of race in each process. Races copy
             them in the moment of GO.
         max_cycles: steps after which a race is cut short.
-        plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
+        plans: JSON file of plan parameters (DriverParameters); empty is the default.
         kl_coef: coefficient of the KL penalty toward the plans' prior.
         learns: choices to train; the others stay those of the plans. With --init, the others change
             too, because all choices of a policy share its hidden layers.

@@ -1,4 +1,4 @@
-"""The functions of the C library that races use give the same results with all its versions."""
+"""The libraries that engine processes load first: with them, races are the same, and faster."""
 
 import contextlib
 import ctypes
@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stkzoo.engine import process
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.process import LIBM
+from stkzoo.engine.process import LIBM, SHORTCUTS
 from stkzoo.engine.session import WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 
@@ -55,14 +56,32 @@ def test_results_do_not_depend_on_the_system(name):
     assert hashlib.sha256(found.tobytes()).hexdigest()[:16] == RESULTS[name]
 
 
-def libraries_of_a_race():
-    """Returns the memory map of the process of a race."""
+def run_race(track, steps):
+    """Runs a race against the game's AI; returns the memory map of its process and a digest."""
+    karts = (KartSetup(is_bot=False), *[KartSetup()] * 5)
     with contextlib.closing(WorkerSession(find_assets().root)) as session:
-        session.start(RaceSetup("olivermath", (KartSetup(),), seed=5))
-        return Path(f"/proc/{session.pid}/maps").read_text()
+        session.start(RaceSetup(track, karts, seed=5))
+        digest = hashlib.sha256()
+        for _ in range(steps):
+            digest.update(session.step(np.eye(1, 7, dtype=np.float32)).karts.tobytes())
+        return Path(f"/proc/{session.pid}/maps").read_text(), digest.hexdigest()
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_the_process_of_a_race_loads_them(monkeypatch, method):
     monkeypatch.setenv("STKZOO_START_METHOD", method)
-    assert f"{LIBM}\n" in libraries_of_a_race()
+    libraries, _ = run_race("olivermath", 1)
+    assert f"{LIBM}\n" in libraries
+    assert f"{SHORTCUTS}\n" in libraries
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("track", ["lighthouse", "hacienda", "cocoa_temple", "black_forest"])
+def test_faster_functions_of_the_engine_give_the_same_race(monkeypatch, track):
+    monkeypatch.setenv("STKZOO_START_METHOD", "spawn")  # no process that already has them
+    libraries, digest = run_race(track, 200)
+    assert SHORTCUTS.name in libraries
+    monkeypatch.setattr(process, "_ENGINE_VERSION", "another")
+    libraries, expected = run_race(track, 200)
+    assert SHORTCUTS.name not in libraries
+    assert digest == expected
