@@ -26,6 +26,7 @@ _STYLES = {
     "flattened_continuous_actions": "pedal and wheel",
     "box_continuous": "pedal and wheel",
     "racing": "choices",
+    "contest": "choices",
     "control": PHYSICAL,
     "flattened_control": PHYSICAL,
 }
@@ -39,7 +40,8 @@ def driving_style(view: str) -> str:
 
     Returns:
         ``"grid"``: discrete acceleration and steering, and all buttons; ``"pedal and wheel"``: no
-        buttons; ``"choices"``: those of the view ``racing``; or :data:`PHYSICAL`.
+        buttons; ``"choices"``: those of the views ``racing`` and ``contest``; or
+        :data:`PHYSICAL`.
     """
     return _STYLES.get(view, "grid")
 
@@ -82,7 +84,7 @@ def to_action(view: str, row: FloatArray) -> Any:
 
         space = CarAction().space
         return (pair - space.low) / (space.high - space.low) * np.float32(2) - np.float32(1)
-    if view == "racing":
+    if driving_style(view) == "choices":
         return _choices(row)
     if view == "flattened":
         return {"continuous": pair, "discrete": np.array(row[2:], np.int64)}
