@@ -32,6 +32,7 @@ from stkzoo.evaluation.benchmark.races import race_seed
 from stkzoo.race import RaceSettings
 from stkzoo.suite import find_task
 from stkzoo.suite.report.statistics import estimate_t
+from stkzoo.suite.tasks import DIFFICULTY
 
 TASK = find_task("team-2v2")
 _TEAM = len(TASK.teams[0])
@@ -65,7 +66,7 @@ def orders(plan: TeamsPlan) -> list[RaceOrder]:
             RaceSettings(
                 track=track,
                 reverse=reverse,
-                difficulty=3,
+                difficulty=DIFFICULTY,
                 seed=race_seed(track, reverse, TASK.forms[0], str(end), index),
             ),
         )

@@ -48,7 +48,8 @@ NO_COPIES = (
 )
 
 #: Functions of the C library with the same results in all its versions (``stkzoo/engine/libm.c``),
-#: and faster forms of functions of the engine (``shortcuts.c``). Only Linux has the files.
+#: and faster forms of functions of the engine (``shortcuts.c``). Only Linux has the files, and the
+#: second only for x86-64.
 LIBM, SHORTCUTS = (
     Path(__file__).with_name(name + EXTENSION_SUFFIXES[0]) for name in ("_libm", "_shortcuts")
 )
