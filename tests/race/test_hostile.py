@@ -582,14 +582,18 @@ def test_attacks_affect_only_their_own_karts(tmp_path, names):
 
 @needs_bubblewrap
 def test_a_fork_bomb_is_stopped(bench):
-    """It slows down all karts until it is ended, so no other attack races beside it."""
+    """It slows down all karts until it is ended, so no other attack races beside it.
+
+    On a busy machine its time limit may end it before its processes are counted.
+    """
     home, mark, write, _ = bench
     bomb = write("bomb", FORK_BOMB)
     result = race(str(home / "rival"), bomb, sandbox="on", action_timeout=30.0)
     assert not by_driver(result)["Plain"].num_errors
     message = by_driver(result)["bomb"].errors[0].message
-    assert re.search("more than 128 processes|with all its processes|temporarily", message)
-    assert wait_until(lambda: not named(mark))
+    reasons = "more than 128 processes|with all its processes|temporarily|longer than 30 s"
+    assert re.search(reasons, message)
+    assert wait_until(lambda: not named(mark), seconds=30.0)
 
 
 def named(mark):
