@@ -140,8 +140,8 @@ class Episode:
     def copy(self) -> Episode:
         """Returns an independent copy of the episode at this moment."""
         twin = copy.copy(self)
-        changing = self._last, self._sums, self._events, self._endings
-        twin._last, twin._sums, twin._events, twin._endings = copy.deepcopy(changing)
+        changing = self._last, self._sums, self._owed, self._events, self._endings
+        twin._last, twin._sums, twin._owed, twin._events, twin._endings = copy.deepcopy(changing)
         twin._make_scorer()
         return twin
 
@@ -263,7 +263,7 @@ class Episode:
             if not isinstance(term, KernelTerm)
         ]
         self._rewards = tuple(_kernel_part(reward, names) for reward in of_agent)
-        self._num_terms, self._num_steps, self._max_cycles = len(names), 0, options.max_cycles
+        self._num_steps, self._max_cycles = 0, options.max_cycles
         endings = Endings(options, len(of_agent))
         self._endings = endings if endings.are_chosen else None
         self._shows_events, self._events = options.events, None
@@ -272,7 +272,8 @@ class Episode:
         shown = EVENTS if options.events else ()
         columns = [*(f"reward/{name}" for name in names), *(f"event/{name}" for name in shown)]
         self._last = np.zeros((len(of_agent), len(columns)))
-        self._sums = np.zeros_like(self._last)
+        self._sums, self._owed = np.zeros_like(self._last), np.zeros((len(of_agent), len(names)))
+        self._limits = np.array([_limits(reward, names) for reward in of_agent]) * self.step_size
         self.info_keys = (
             *("position", "distance", "lap", "finish_time"),
             *columns,
@@ -308,7 +309,7 @@ class Episode:
         self.ends: EndArrays = np.zeros(count), terminations, truncations
         shown = self._shown_events
         events = np.zeros(0) if shown is None else shown
-        numbers = self._last, self._sums, self._num_terms, self._race_length
+        numbers = self._last, self._sums, self._owed, self._limits, self._race_length
         self._scorer = StepScorer(karts, *numbers, self._rewards, events)
 
 
@@ -320,6 +321,12 @@ def _kernel_part(
     weights = np.array([reward.weights.get(name, 1.0) for name in terms], np.float64)
     columns = np.array([names.index(name) for name in terms], np.intp)
     return tuple(term.name for term in terms.values()), weights, columns
+
+
+def _limits(reward: Reward, names: Sequence[str]) -> list[float]:
+    """Returns the limit of each weighted term, infinite if it has none [1/s]."""
+    limits, weights = reward.limits, reward.weights
+    return [limits.get(name, np.inf) * abs(weights.get(name, 1.0) or 1.0) for name in names]
 
 
 class Endings:

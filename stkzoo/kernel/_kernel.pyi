@@ -269,7 +269,10 @@ class StepScorer:
         last: ``(A, C)`` reward terms and events of the latest step, which :meth:`score_into`
             writes.
         sums: ``(A, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
-        num_terms: number of reward terms; the other columns are events.
+        owed: ``(A, T)`` what each agent has earned by each of the T reward terms but not been paid,
+            which :meth:`score_into` updates.
+        limits: ``(A, T)`` most that a term pays in a step; infinite without a limit. The first T
+            columns of ``last`` are terms, the others events.
         race_length: number of laps times the length of a lap [m].
         rewards: for each agent the names of its reward's terms, their weights, and their columns in
             ``last``. The caller writes the terms that are Python functions into ``last``.
@@ -282,7 +285,8 @@ class StepScorer:
         karts: npt.NDArray[np.intp],
         last: npt.NDArray[np.float64],
         sums: npt.NDArray[np.float64],
-        num_terms: int,
+        owed: npt.NDArray[np.float64],
+        limits: npt.NDArray[np.float64],
         race_length: float,
         rewards: tuple[Any, ...],
         events: npt.NDArray[np.float64],

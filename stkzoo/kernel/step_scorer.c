@@ -25,6 +25,7 @@ typedef struct {
     OBJECT_HEAD
     Indices karts;            /* (A,) each agent's kart */
     Doubles last, sums;       /* (A, C): reward terms, then events, of the step; their sums */
+    Doubles owed, limits;     /* (A, T): earned but not yet paid; the most that a step pays */
     Doubles events;           /* (K, E): events of all karts in the step */
     npy_intp num_columns, num_terms, num_events;
     double race_length;
@@ -147,6 +148,20 @@ static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
     return table.data + agent * self->num_columns;
 }
 
+/* Limits what each term pays in a step. What is left is paid in later steps; the finishing step pays
+   all. */
+static void limit_terms(const StepScorer *self, npy_intp agent, int has_finished, double *terms)
+{
+    double *owed = self->owed.data + agent * self->num_terms;
+    const double *limits = self->limits.data + agent * self->num_terms;
+    for (npy_intp t = 0; t < self->num_terms; t++) {
+        if (isinf(limits[t])) continue;
+        owed[t] += terms[t];
+        terms[t] = has_finished ? owed[t] : fmax(-limits[t], fmin(owed[t], limits[t]));
+        owed[t] -= terms[t];
+    }
+}
+
 /* Computes an agent's terms in a step and adds them to its sums. Returns the reward. */
 static double score(const StepScorer *self, npy_intp agent, const Snapshot *before,
                   const Snapshot *after)
@@ -160,6 +175,7 @@ static double score(const StepScorer *self, npy_intp agent, const Snapshot *befo
             reward->weights.data[t] *
             reward->terms[t](before->karts + kart, after->karts + kart, &race);
     }
+    limit_terms(self, agent, after->karts[kart].has_finished_race > 0, last);
     memcpy(last + self->num_terms, self->events.data + kart * self->num_events,
            (size_t)self->num_events * sizeof *last);
     double total = 0;
@@ -297,25 +313,28 @@ static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
     return 0;
 }
 
-/* StepScorer(karts, last, sums, num_terms, race_length, rewards, events): `rewards` has a tuple for
+/* StepScorer(karts, last, sums, owed, limits, race_length, rewards, events): `rewards` has a tuple for
    set_reward() for each agent. */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O&O&O&ndO!O&", as_indices, &self->karts, as_written_doubles,
-                          &self->last, as_written_doubles, &self->sums, &self->num_terms,
-                          &self->race_length, &PyTuple_Type, &rewards, as_written_doubles,
-                          &self->events)) {
+    if (!PyArg_ParseTuple(args, "O&O&O&O&O&dO!O&", as_indices, &self->karts, as_written_doubles,
+                          &self->last, as_written_doubles, &self->sums, as_written_doubles,
+                          &self->owed, as_doubles, &self->limits, &self->race_length, &PyTuple_Type,
+                          &rewards, as_written_doubles, &self->events)) {
         return -1;
     }
     const npy_intp count = self->karts.size, width = count ? self->sums.size / count : 0;
+    self->num_terms = count ? self->limits.size / count : 0;
     const npy_intp num_events = self->num_events = width - self->num_terms;
     const npy_intp num_karts = num_events > 0 ? self->events.size / num_events : NPY_MAX_INTP;
     const npy_intp sizes[][2] = {
         {self->sums.size, width * count},
         {self->last.size, self->sums.size},
+        {self->limits.size, self->num_terms * count},
+        {self->owed.size, self->limits.size},
         {PyTuple_GET_SIZE(rewards), count},
-        {self->num_terms >= 0 && num_events >= 0 && are_below(self->karts, num_karts), 1},
+        {num_events >= 0 && are_below(self->karts, num_karts), 1},
     };
     self->num_columns = width;
     if (ARE_SIZES(sizes) < 0 ||

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._checks import check_name, check_type, shortened
+from stkzoo._checks import check_name, check_number, check_type, shortened
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.kernel import StepScorer
 from stkzoo.mdp.transition import Transition
@@ -59,8 +59,10 @@ def _scorer_of(term: str, num_kart: int, race_length: float) -> tuple[Any, ...]:
     """Returns a scorer whose reward is one term, all karts, and room for their ends."""
     karts, ends = np.arange(num_kart), np.zeros((2, num_kart), np.bool_)
     reward = (term,), np.ones(1), np.zeros(1, np.intp)
-    last, sums = np.zeros((2, num_kart, 1))
-    scorer = StepScorer(karts, last, sums, 1, race_length, (reward,) * num_kart, np.zeros(0))
+    last, sums, owed, limits = np.zeros((4, num_kart, 1))
+    limits += np.inf
+    parts = last, sums, owed, limits, race_length, (reward,) * num_kart
+    scorer = StepScorer(karts, *parts, np.zeros(0))
     return scorer, karts, *ends
 
 
@@ -92,17 +94,21 @@ class Reward:
     Attributes:
         terms: terms by name.
         weights: weights by name; the default weight is 1.
+        limits: the most that a term pays per second of game time, before its weight, by name. What
+            is left is paid in later steps; the finishing step pays all. Off the road, the game's
+            distance can jump by up to a lap for a few steps; with a limit, such a jump pays little.
 
     Raises:
-        ConfigError: a name is not text, a term is not callable, or a weight is not finite or has no
-            term.
+        ConfigError: a name is not text, a term is not callable, or a weight or limit is not finite
+            or has no term.
     """
 
     terms: Mapping[str, RewardTerm]
     weights: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for part in ("terms", "weights"):
+        for part in ("terms", "weights", "limits"):
             check_type(part, getattr(self, part), Mapping, "a dict by name")
         for name, term in self.terms.items():
             if not isinstance(name, str) or not callable(term):
@@ -117,9 +123,12 @@ class Reward:
                     f"weight of reward term {name!r} is {weight!r}, expected a finite number, or a "
                     "function to define the term"
                 )
+        for name, limit in self.limits.items():
+            check_name("reward term", name, self.terms)
+            check_number(f"limit of reward term {name!r}", limit)
 
     def __call__(self, step: Transition) -> dict[str, FloatArray]:
-        """Returns the weighted value of each term, ``(K,)`` float64 by name.
+        """Returns the weighted value of each term before limits, ``(K,)`` float64 by name.
 
         Raises:
             ConfigError: a term failed, or returned other values than K finite numbers.
@@ -127,7 +136,7 @@ class Reward:
         return {name: self.value(name, step) for name in self.terms}
 
     def value(self, name: str, step: Transition) -> FloatArray:
-        """Returns the weighted value of one term, ``(K,)`` float64.
+        """Returns the weighted value of one term before its limit, ``(K,)`` float64.
 
         Raises:
             ConfigError: the term failed, or returned other values than K finite numbers.
@@ -149,22 +158,28 @@ class Reward:
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """Returns a copy with changed weights (numbers) and added or replaced terms (functions).
 
+        A replaced term has no limit.
+
         Raises:
             ConfigError: a change is neither a number nor a function, or a weight has no term.
         """
         added = {name: change for name, change in changes.items() if callable(change)}
         weights = {name: weight for name, weight in changes.items() if name not in added}
-        return Reward({**self.terms, **added}, {**self.weights, **weights})  # type: ignore[dict-item]
+        limits = {name: limit for name, limit in self.limits.items() if name not in added}
+        changed = {**self.weights, **weights}
+        return Reward({**self.terms, **added}, changed, limits)  # type: ignore[arg-type]
 
 
 #: The built-in rewards. ``race`` is the default: driving better earns more. A kart that drives a
 #: whole race of L meters and finishes in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1)
-#: + 10 - 0.02 N; a kart that stands still earns -0.02 N.
+#: + 10 - 0.02 N; a kart that stands still earns -0.02 N. Its limit for ``advance`` is 50 m/s.
 #: ``reference`` is the formula of pystk2-gymnasium, which also rewards a kart that stands still.
 #: ``placement`` has a return in [0, 2], which is higher for a better place.
 REWARDS: Mapping[str, Reward] = {
     "race": Reward(
-        {"advance": advance, "place": place, "finish": finish, "time": time}, {"time": 0.2}
+        {"advance": advance, "place": place, "finish": finish, "time": time},
+        {"time": 0.2},
+        {"advance": 5.0, "place": 5.0},
     ),
     "reference": Reward({"progress": progress, "rank": rank, "time": time, "finish": finish}),
     "placement": Reward({"course": course, "placement": placement}),

@@ -9,7 +9,7 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap, decode_track, encode_track
 from stkzoo.errors import ConfigError
-from stkzoo.mdp.rewards import REWARDS, Reward, as_reward, rank
+from stkzoo.mdp.rewards import REWARDS, Reward, advance, as_reward, rank
 from stkzoo.mdp.spaces import EXTRAS, kart_observation_space
 from stkzoo.mdp.state import KART_FEATURES, state_space
 from stkzoo.mdp.transition import Transition
@@ -124,6 +124,39 @@ def test_a_term_of_your_own_can_use_a_built_in_one():
         infos = env.step(actions)[-1]
         assert sorted(info["reward/twice"] for info in infos.values()) == [0.0, 1.5]
         assert all(info["reward/rank"] == info["reward/twice"] for info in infos.values())
+
+
+def test_a_term_with_a_limit_pays_a_jump_in_parts():
+    """The rest is part of a saved state."""
+    earned = iter([0.0, 10.0, 0.0])
+    jumps = Reward({"jump": lambda _: np.full(2, next(earned))}, {"jump": 2.0}, {"jump": 40.0})
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", reward=jumps) as env:
+        env.reset(seed=1)
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        paid = [env.step(actions)[1]["kart_0"] for _ in range(2)]
+        state = env.save_state()
+        env.step(actions)
+        env.restore_state(state)
+        earned = iter([0.0, -12.0, 0.0, 0.0])
+        paid += [env.step(actions)[1]["kart_0"] for _ in range(4)]
+    assert paid == [0.0, 8.0, 8.0, -8.0, -8.0, -4.0]
+
+
+def test_the_finishing_step_pays_all_that_is_left():
+    agents = [AgentSpec(use_ai=True)]
+    slow = Reward({"advance": advance}, limits={"advance": 0.01})
+    with race_v0.parallel_env(agents=agents, num_kart=1, track="lighthouse", reward=slow) as env:
+        env.reset(seed=1)
+        while env.agents:
+            _, rewards, terminations, _, infos = env.step({})
+            assert rewards["kart_0"] <= 0.001 or terminations["kart_0"]
+        assert infos["kart_0"]["episode/return"] == pytest.approx(env.track_map.length / 10)
+
+
+@pytest.mark.parametrize("limit", ["much", 0, float("inf")])
+def test_a_limit_that_is_no_positive_number_is_refused(limit):
+    with pytest.raises(ConfigError, match=r"limit of reward term 'mine' is .* a"):
+        Reward({"mine": lambda step: np.ones(step.num_kart)}, limits={"mine": limit})
 
 
 @pytest.mark.parametrize("weight", ["much", None, float("inf")])

@@ -98,14 +98,16 @@ class StepScorer:
         karts: IntArray,
         last: FloatArray,
         sums: FloatArray,
-        num_terms: int,
+        owed: FloatArray,
+        limits: FloatArray,
         race_length: float,
         rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
         self._karts, self._last, self._sums = karts, last, sums
         self._race_length, self._rewards = race_length, rewards
-        self._events, self._num_terms = events, num_terms
+        self._owed, self._limits = owed, limits
+        self._events, self._num_terms = events, limits.shape[1]
 
     def score_into(
         self,
@@ -123,6 +125,11 @@ class StepScorer:
             for term, weight, column in zip(*self._rewards[agent], strict=True):
                 values = np.asarray(TERMS[term](step), np.float64)
                 self._last[agent, column] = weight * values[self._karts[agent]]
+            owed, limits = self._owed[agent], self._limits[agent]
+            earned = owed + self._last[agent, : self._num_terms]
+            has_finished = step.after.karts["has_finished_race"][self._karts[agent]] > 0
+            paid = earned if has_finished else earned.clip(-limits, limits)
+            self._last[agent, : self._num_terms], owed[:] = paid, earned - paid
         if self._events.size:
             self._last[who, self._num_terms :] = self._events[self._karts[who]]
         self._last[np.setdiff1d(np.arange(len(self._karts)), who)] = 0.0

@@ -43,19 +43,10 @@ PATIENCE = 2.0
 SHORT_RACE = 250
 #: Number of karts in the means of the log.
 _RECENT = 100
-#: Longest distance per step, in units of the reward; off the road, the game's distance can jump by
-#: up to a lap.
-_LONGEST_STEP = 0.5
-
-
-def _meters(step: Any) -> npt.NDArray[np.float64]:
-    """0.1 per meter driven, without jumps of the distance."""
-    driven = rewards.advance(step)
-    return np.where(np.abs(driven) > _LONGEST_STEP, 0.0, driven)
-
-
 #: 0.1 per meter driven, and 0.3 per place gained.
-REWARD = Reward({"meters": _meters, "places": rewards.overtaking}, {"places": 0.3})
+REWARD = Reward(
+    {"advance": rewards.advance, "places": rewards.overtaking}, {"places": 0.3}, {"advance": 5.0}
+)
 
 
 @dataclass(frozen=True, slots=True)
