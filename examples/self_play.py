@@ -2,27 +2,23 @@
 
 import sys
 
-import numpy as np
 import torch
 from stable_baselines3 import PPO
 
 from stkzoo import OpponentPool, Reward
+from stkzoo.mdp.rewards import advance, overtaking
 from stkzoo.race import run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 
 TRACKS = ["lighthouse", "cornfield_crossing", "gran_paradiso_island", "olivermath", "hacienda"]
-
-
-def way(step):
-    """Returns 0.1 per meter driven, without jumps of the distance, plus 0.3 per place gained."""
-    meters, place = step.distance - step.distance_before, step.before.karts["position"]
-    return np.where(np.abs(meters) < 10, meters / 10, 0) + 0.3 * (place - 1.0 * step.position)
-
+# 0.1 per meter driven, at most 5 per second, and 0.3 per place gained.
+terms = {"advance": advance, "overtaking": overtaking}
+reward = Reward(terms, {"overtaking": 0.3}, {"advance": 5.0})
 
 generations, steps, duels = map(int, sys.argv[1:] or (12, 25_000, 50))
 torch.set_num_threads(1)  # a small network; leave the cores to the races
 pool, won = OpponentPool(), 0
-race = {"track": TRACKS, "start": "random", "max_cycles": 300, "reward": Reward({"way": way})}
+race = {"track": TRACKS, "start": "random", "max_cycles": 300, "reward": reward}
 envs = RaceVecEnv(8, agents=2, num_kart=3, opponents=pool, view="racing", **race)
 learning = {"n_steps": 128, "batch_size": 512, "n_epochs": 4, "learning_rate": 5e-4}
 learning |= {"gamma": 0.98, "ent_coef": 0.003, "rollout_buffer_class": ActiveRolloutBuffer}

@@ -56,12 +56,6 @@ class Transition:
         """``(K,)`` float64, distance driven after the step [m]."""
         return progress_of(self.after)
 
-    @property
-    def position(self) -> npt.NDArray[np.int32]:
-        """``(K,)`` int32, ranks after the step; 1 is first."""
-        ranks: npt.NDArray[np.int32] = self.after.karts["position"]
-        return ranks
-
     def event(self, name: str) -> FloatArray:
         """Returns each kart's count (or duration [s]) of an event in this step, ``(K,)`` float64.
 

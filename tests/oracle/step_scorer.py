@@ -24,7 +24,7 @@ def progress(step: Transition) -> FloatArray:
 
 def rank(step: Transition) -> FloatArray:
     """Returns (1 - position/K) (3 + 7 f), where f is 1 in the finishing step and otherwise 0."""
-    return (1.0 - step.position / step.num_kart) * (3.0 + 7.0 * step.finishes)
+    return (1.0 - step.after.karts["position"] / step.num_kart) * (3.0 + 7.0 * step.finishes)
 
 
 def time(step: Transition) -> FloatArray:
@@ -53,7 +53,7 @@ def _driven(moment: Snapshot, distance: FloatArray, race_length: float) -> Float
 def placement(step: Transition) -> FloatArray:
     """In the finishing step, returns 1 for the winner down to 0 for the last, evenly spaced."""
     others = max(step.num_kart - 1, 1)
-    return step.finishes * (step.num_kart - step.position) / others
+    return step.finishes * (step.num_kart - step.after.karts["position"]) / others
 
 
 def advance(step: Transition) -> FloatArray:

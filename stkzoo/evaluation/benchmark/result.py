@@ -246,12 +246,7 @@ def _title(results: Sequence[BenchmarkResult]) -> str:
 # ------------------------------------------------------------------ runs
 
 BENCHMARK = BatchKind(
-    BenchmarkPlan,
-    benchmark_orders,
-    _result,
-    written(RESULT_FILE),
-    plot_benchmark,
-    "benchmark.png",
+    BenchmarkPlan, benchmark_orders, _result, written(RESULT_FILE), plot_benchmark, "benchmark.png"
 )
 
 
