@@ -1,7 +1,7 @@
 """Trains the reference runs of the suite, evaluates their agents, and packs them.
 
     python -m benchmarks.suite_reference                          # days; continues if interrupted
-    python -m benchmarks.suite_reference --only "versus-ippo-*" "selfplay-5-*-0"
+    python -m benchmarks.suite_reference --only "versus-ippo-*" "selfplay-5-*-0" --evaluations test
     python -m benchmarks.suite_reference --archive suite-1.zip    # packs the runs that are complete
 
 Each run has a folder, such as ``runs/suite/versus-ippo-0``: what ``stkzoo suite train`` writes, the
@@ -68,6 +68,9 @@ def main(arguments: list[str] | None = None) -> int:
     words.add_argument(
         "--only-evaluate", action="store_true", help="skip runs that are not trained"
     )
+    words.add_argument(
+        "--evaluations", nargs="+", choices=[*_EVALUATIONS, *_VARIANTS], help="default: all"
+    )
     words.add_argument("--archive", type=Path, help="zip to write")
     words.add_argument("--output", type=Path, default=OUTPUT, help="folder of digests and report")
     options = words.parse_args(arguments)
@@ -88,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         if not options.only_evaluate:
             _train(folder, *run)
-        console.print(f"{name}: {_evaluate(folder, *run, options.jobs)}")
+        console.print(f"{name}: {_evaluate(folder, *run, options.jobs, options.evaluations)}")
     return 0
 
 
@@ -112,9 +115,16 @@ def _train(folder: Path, task: str, algorithm: str, seed: int, kart_steps: int) 
 
 
 def _evaluate(
-    folder: Path, task: str, algorithm: str, seed: int, kart_steps: int, jobs: int | None
+    folder: Path,
+    task: str,
+    algorithm: str,
+    seed: int,
+    kart_steps: int,
+    jobs: int | None,
+    evaluations: Sequence[str] | None,
 ) -> str:
     """Evaluates the agent of a run, or continues its evaluations; returns the scores."""
+    kinds = evaluations or (*_EVALUATIONS, *_VARIANTS)
     agent, scores = str(folder / "agent"), []
     about = About()  # the agent's card says the rest
     if algorithm not in ALGORITHMS:
@@ -122,12 +132,16 @@ def _evaluate(
             agent_class="learned", algorithm=algorithm, training_seed=seed, kart_steps=kart_steps
         )
     for split, name in _EVALUATIONS.items():
+        if split not in kinds:
+            continue
         output = folder / name
         entry = evaluate(
             task, agent, split=split, about=about, output=output, jobs=jobs, plot=False
         )
         scores.append(f"{entry.score} on the {split} tracks")
-    for variant, changes in _VARIANTS.items() if algorithm == "ippo" else ():
+    for variant, changes in _VARIANTS.items():
+        if variant not in kinds or algorithm != "ippo":
+            continue
         name, policy = f"{algorithm}_{variant}", newest_policy(str(folder))
         other = export_policy(
             policy, name, folder / f"agent-{variant}", **{"samples": True} | changes

@@ -76,7 +76,7 @@ class Task:
     forms: tuple[str, ...]
     seeds: Whole
     metric: Annotated[str, one_of(TIME_RATIO, BEATEN)] = BEATEN
-    budget: Whole = 2_000_000
+    budget: Whole = 1_000_000
     long_budget: Whole = 10_000_000
 
     @property
@@ -177,6 +177,7 @@ TASKS = {
             rivals=4,
             forms=("PAAAA",),
             seeds=5,
+            budget=2_000_000,
         ),
         Task(
             name="selfplay-5",
