@@ -13,9 +13,10 @@ algorithms of a seed come before the next seed. ``stkzoo suite report runs/suite
 folders.
 
 ``--archive`` trains nothing. It packs agents, entries, logs and arguments into a zip for a release,
-and writes to ``benchmarks/results/suite`` what the repository holds: ``digests.json`` with the
-SHA-256 of the zip and of its files, except the replays, whose SHA-256 are in the entries; and
-``report.json``, from which the documentation is built.
+and adds what the repository holds of these runs to ``benchmarks/results/suite``: a zip for each,
+with its entries, race results and log, and ``digests.json`` with the SHA-256 of the archives and of
+their files, except the replays, whose SHA-256 are in the entries. From the zips of all runs, which
+can come from several machines, it writes ``report.json``, the source of the documentation's page.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import hashlib
 import itertools
 import json
 import sys
+import tempfile
 import zipfile
 from collections.abc import Sequence
 from fnmatch import fnmatch
@@ -38,7 +40,11 @@ from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.suite import ALGORITHMS, About, can_learn, evaluate, find_task, load_runs, make_report
+from stkzoo.suite.about import TRAINING_LOG
+from stkzoo.suite.entry import ENTRY_FILE, Entry, entry_orders
+from stkzoo.suite.report.runs import Evaluation, LearningCurve, SuiteRun
 
 #: Tasks with reference runs, and the seeds of the runs.
 REFERENCE_TASKS = ("solo-general", "versus", "selfplay-5", "team-2v2")
@@ -54,6 +60,8 @@ _PACKED = (
     *("agent/*", "log.jsonl", "arguments.json"),
     *(f"entry*/{file}" for file in ("entry.json", "replays/*")),
 )
+#: What the repository holds of a run, in a zip of its own.
+_KEPT = "log.jsonl", "entry*/entry.json", "entry*/races/*.json"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -153,13 +161,13 @@ def _evaluate(
 
 
 def pack(folder: Path, names: Sequence[str], archive: Path, output: Path) -> int:
-    """Packs the runs that have an entry, and writes the digests and the report.
+    """Packs the runs that have an entry, and adds them to the results in the repository.
 
     Args:
         folder: folder of the runs.
         names: names of the runs.
         archive: zip to write. Equal runs give equal archives.
-        output: folder of ``digests.json`` and ``report.json``.
+        output: folder of ``runs``, ``digests.json`` and ``report.json``.
 
     Returns:
         The number of runs in the archive.
@@ -171,31 +179,58 @@ def pack(folder: Path, names: Sequence[str], archive: Path, output: Path) -> int
     folders = [folder / name for name in names if (folder / name / "entry/entry.json").is_file()]
     if not folders:
         raise ConfigError(f"{folder} has no complete run; run this program without --archive")
-    report = make_report(load_runs(folders))
-    files = [
-        path
-        for place in folders
-        for pattern in _PACKED
-        for path in sorted(place.glob(pattern))
-        if path.is_file()
-    ]
-    with write_whole(archive, "the archive") as part, zipfile.ZipFile(part, "w") as target:
-        for path in files:
-            member = zipfile.ZipInfo(path.relative_to(folder).as_posix(), (1980, 1, 1, 0, 0, 0))
-            member.compress_type = zipfile.ZIP_DEFLATED
-            target.writestr(member, path.read_bytes())
-    digests = {
-        "archive": {"name": archive.name, "sha256": _sha256(archive)},
-        "files": {
-            path.relative_to(folder).as_posix(): _sha256(path)
-            for path in files
-            if path.suffix != ".stkz"
-        },
+    load_runs(folders)  # refuses numbers that do not follow from the replays
+    packed = _write_zip(archive, folder, folders, _PACKED)
+    (output / "runs").mkdir(parents=True, exist_ok=True)
+    for run in folders:
+        _write_zip(output / "runs" / f"{run.name}.zip", run, [run], _KEPT)
+    digests: dict[str, dict[str, str]] = {"archives": {}, "files": {}}
+    if (output / "digests.json").exists():
+        digests = json.loads((output / "digests.json").read_text())
+    digests["archives"][archive.name] = _sha256(archive)
+    digests["files"] |= {
+        path.relative_to(folder).as_posix(): _sha256(path)
+        for path in packed
+        if path.suffix != ".stkz"
     }
-    output.mkdir(parents=True, exist_ok=True)
+    files = (output / "runs" / f"{name}.zip" for name in reference_runs())
+    report = make_report([run for file in files if file.exists() for run in _kept_runs(file)])
     write_text(output / "digests.json", json.dumps(digests, indent=1) + "\n")
     write_text(output / "report.json", report.to_json() + "\n")
     return len(folders)
+
+
+def _write_zip(
+    archive: Path, root: Path, folders: Sequence[Path], patterns: Sequence[str]
+) -> list[Path]:
+    """Writes files of some folders to a zip, with names relative to a root; returns the files."""
+    places = itertools.product(folders, patterns)
+    files = [path for place, pattern in places for path in sorted(place.glob(pattern))]
+    files = [path for path in files if path.is_file()]
+    with write_whole(archive, "the archive") as part, zipfile.ZipFile(part, "w") as target:
+        for path in files:
+            member = zipfile.ZipInfo(path.relative_to(root).as_posix(), (1980, 1, 1, 0, 0, 0))
+            member.compress_type = zipfile.ZIP_DEFLATED
+            target.writestr(member, path.read_bytes())
+    return files
+
+
+def _kept_runs(file: Path) -> list[SuiteRun]:
+    """Reads what the repository holds of a run: its evaluations, without their replays."""
+    with tempfile.TemporaryDirectory() as place:
+        zipfile.ZipFile(file).extractall(place)
+        evaluations = {}
+        for folder in sorted(Path(place).glob("entry*")):
+            entry = Entry.load(folder / ENTRY_FILE)
+            results = load_orders(entry_orders(entry.plan), folder)
+            evaluations[folder.name] = Evaluation(folder, entry, tuple(results.values()))
+        log = Path(place) / TRAINING_LOG
+        curve = LearningCurve.load(log) if log.exists() else None
+    train = evaluations.pop(_EVALUATIONS["train"], None)
+    return [
+        SuiteRun(evaluation, train if name == _EVALUATIONS["test"] else None, curve)
+        for name, evaluation in evaluations.items()
+    ]
 
 
 def _sha256(file: Path) -> str:

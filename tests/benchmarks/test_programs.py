@@ -111,13 +111,14 @@ def test_the_archive_of_reference_runs_has_digests_of_their_files(tmp_path):
     (home / "agent").mkdir()
     (home / "agent" / "weights.safetensors").write_bytes(b"weights")
     (home / "checkpoint.pt").write_bytes(b"not packed")
-    words = ["--folder", tmp_path / "runs", "--output", tmp_path / "output", "--archive"]
     archives = [tmp_path / f"{number}.zip" for number in range(2)]
     for archive in archives:
-        run("suite_reference", *words, archive)
+        pack(tmp_path / "runs", archive)
     assert archives[0].read_bytes() == archives[1].read_bytes()
-    digests = json.loads((tmp_path / "output" / "digests.json").read_text())
-    assert digests["archive"] == {"name": "1.zip", "sha256": sha256(archives[1].read_bytes())}
+    digests = json.loads((tmp_path / "digests.json").read_text())
+    assert digests["archives"] == dict.fromkeys(
+        ("0.zip", "1.zip"), sha256(archives[1].read_bytes())
+    )
     with zipfile.ZipFile(archives[1]) as packed:
         names = {name for name in packed.namelist() if not name.endswith(".stkz")}
         assert names == {*digests["files"]}
@@ -127,7 +128,21 @@ def test_the_archive_of_reference_runs_has_digests_of_their_files(tmp_path):
     weights = "solo-general-ippo-0/agent/weights.safetensors"
     assert weights in names
     assert "solo-general-ippo-0/checkpoint.pt" not in names
-    assert SuiteReport.load(tmp_path / "output" / "report.json").tasks[0].task == "solo-general"
+
+
+def test_the_report_has_the_reference_runs_of_all_machines(tmp_path):
+    for seed, ratio in enumerate((1.0, 1.5)):
+        write_run(tmp_path / f"machine-{seed}", "solo-general", "ippo", seed, constant(ratio))
+        pack(tmp_path / f"machine-{seed}", tmp_path / f"{seed}.zip")
+    (task,) = SuiteReport.load(tmp_path / "report.json").tasks
+    (ippo,) = task.algorithms
+    assert (ippo.seeds, ippo.over_runs.value) == ((0, 1), pytest.approx(1.25, abs=0.001))
+    assert (ippo.train_score is None, ippo.returns is None) == (False, False)
+
+
+def pack(folder, archive):
+    words = ["--folder", folder, "--output", archive.parent, "--archive", archive]
+    run("suite_reference", *words)
 
 
 def sha256(data):

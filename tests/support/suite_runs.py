@@ -73,10 +73,11 @@ def evaluation_of(plan: EntryPlan, value: Value, folder: Path | None = None) -> 
     races = race_outcomes(plan, dict(enumerate(results)))
     if folder is None:
         return Evaluation(Path(), Entry(plan, races, replays=("0" * 64,) * len(races)), results)
-    for number, result in enumerate(results):
-        replay = replay_file(folder, number)
-        replay.parent.mkdir(parents=True, exist_ok=True)
-        save_replay(replay_of(result), replay)
+    for order, result in zip(entry_orders(plan), results, strict=True):
+        for file in (replay_file(folder, order.number), order.file(folder)):
+            file.parent.mkdir(parents=True, exist_ok=True)
+        save_replay(replay_of(result), replay_file(folder, order.number))
+        order.file(folder).write_text(result.to_json())
     entry = Entry(plan, races, replays=tuple(replay_digest(folder, r.number) for r in races))
     (folder / ENTRY_FILE).write_text(entry.to_json())
     return Evaluation(folder, entry, results)
