@@ -6,8 +6,9 @@
 
 Each run has a folder, such as ``runs/suite/versus-ippo-0``: what ``stkzoo suite train`` writes, the
 entry of its agent (``entry``) and the evaluation on the training tracks (``entry-train``). Agents
-of ``ippo`` are also evaluated with the most likely choices (``entry-argmax``), and without recovery
-of stuck karts (``entry-unrecovered``). ``sb3`` is the library baseline
+of ``selfplay-5`` are also evaluated in ``versus`` (``entry-versus``). Agents of ``ippo`` are also
+evaluated with the most likely choices (``entry-argmax``), and without recovery of stuck karts
+(``entry-unrecovered``). ``sb3`` is the library baseline
 (:mod:`benchmarks.suite_sb3`). One run is trained at a time, with all cores; all tasks and
 algorithms of a seed come before the next seed. ``stkzoo suite report runs/suite`` reads these
 folders.
@@ -51,10 +52,13 @@ REFERENCE_TASKS = ("solo-general", "versus", "selfplay-5", "team-2v2")
 SEEDS = (0, 1, 2, 3, 4)
 #: Folder of what the repository holds.
 OUTPUT = RESULTS / "suite"
-#: Folders of the evaluations in the folder of a run, by split.
-_EVALUATIONS = {"test": "entry", "train": "entry-train"}
-#: Other evaluations of an agent of ippo, and what is different in each.
+#: Evaluations of all agents: on the tracks of the test and on those of the training.
+_SPLITS = "test", "train"
+#: Evaluation of the agents of selfplay-5 in another task.
+_TRANSFER = "versus"
+#: Evaluations of the agents of ippo, and what is different in each.
 _VARIANTS = {"argmax": {"samples": False}, "unrecovered": {"recovers": False}}
+_EVALUATIONS = (*_SPLITS, _TRANSFER, *_VARIANTS)
 #: What the archive holds of a run.
 _PACKED = (
     *("agent/*", "log.jsonl", "arguments.json"),
@@ -77,7 +81,12 @@ def main(arguments: list[str] | None = None) -> int:
         "--only-evaluate", action="store_true", help="skip runs that are not trained"
     )
     words.add_argument(
-        "--evaluations", nargs="+", choices=[*_EVALUATIONS, *_VARIANTS], help="default: all"
+        "--evaluations",
+        nargs="+",
+        choices=_EVALUATIONS,
+        default=_EVALUATIONS,
+        metavar="NAME",
+        help="some of: %(choices)s",
     )
     words.add_argument("--archive", type=Path, help="zip to write")
     words.add_argument("--output", type=Path, default=OUTPUT, help="folder of digests and report")
@@ -129,34 +138,34 @@ def _evaluate(
     seed: int,
     kart_steps: int,
     jobs: int | None,
-    evaluations: Sequence[str] | None,
+    kinds: Sequence[str],
 ) -> str:
     """Evaluates the agent of a run, or continues its evaluations; returns the scores."""
-    kinds = evaluations or (*_EVALUATIONS, *_VARIANTS)
-    agent, scores = str(folder / "agent"), []
     about = About()  # the agent's card says the rest
     if algorithm not in ALGORITHMS:
         about = About(
             agent_class="learned", algorithm=algorithm, training_seed=seed, kart_steps=kart_steps
         )
-    for split, name in _EVALUATIONS.items():
-        if split not in kinds:
-            continue
-        output = folder / name
-        entry = evaluate(
-            task, agent, split=split, about=about, output=output, jobs=jobs, plot=False
-        )
-        scores.append(f"{entry.score} on the {split} tracks")
-    for variant, changes in _VARIANTS.items():
-        if variant not in kinds or algorithm != "ippo":
-            continue
-        name, policy = f"{algorithm}_{variant}", newest_policy(str(folder))
-        other = export_policy(
-            policy, name, folder / f"agent-{variant}", **{"samples": True} | changes
-        )
-        about, output = About(variant=variant), folder / f"entry-{variant}"
-        entry = evaluate(task, str(other), about=about, output=output, jobs=jobs, plot=False)
-        scores.append(f"{entry.score} {variant}")
+    scores = []
+    for kind in kinds:
+        agent, of_task, of_kind = folder / "agent", task, about
+        if kind in _VARIANTS:
+            if algorithm != "ippo":
+                continue
+            policy, changes = newest_policy(str(folder)), {"samples": True, **_VARIANTS[kind]}
+            agent = export_policy(
+                policy, f"{algorithm}_{kind}", folder / f"agent-{kind}", **changes
+            )
+            of_kind = About(variant=kind)
+        elif kind == _TRANSFER:
+            if task != "selfplay-5":
+                continue
+            of_task, of_kind = kind, About(variant=f"trained in {task}")
+        split = kind if kind in _SPLITS else "test"
+        output = folder / ("entry" if kind == "test" else f"entry-{kind}")
+        options = {"split": split, "about": of_kind, "jobs": jobs, "plot": False}
+        entry = evaluate(of_task, str(agent), output=output, **options)
+        scores.append(f"{entry.score} ({kind})")
     return ", ".join(scores)
 
 
@@ -226,9 +235,9 @@ def _kept_runs(file: Path) -> list[SuiteRun]:
             evaluations[folder.name] = Evaluation(folder, entry, tuple(results.values()))
         log = Path(place) / TRAINING_LOG
         curve = LearningCurve.load(log) if log.exists() else None
-    train = evaluations.pop(_EVALUATIONS["train"], None)
+    train = evaluations.pop("entry-train", None)
     return [
-        SuiteRun(evaluation, train if name == _EVALUATIONS["test"] else None, curve)
+        SuiteRun(evaluation, train if name == "entry" else None, curve)
         for name, evaluation in evaluations.items()
     ]
 

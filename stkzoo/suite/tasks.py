@@ -177,7 +177,6 @@ TASKS = {
             rivals=4,
             forms=("PAAAA",),
             seeds=5,
-            budget=2_000_000,
         ),
         Task(
             name="selfplay-5",
