@@ -1,16 +1,14 @@
 """Trains a policy from scratch by self-play with Stable-Baselines3's PPO.
 
-    python -m stkzoo.agents.training.sb3.selfplay --output runs/first --minutes 10
+    python -m stkzoo.agents.training.sb3.selfplay --output runs/first --total-timesteps 2000000
 
 One policy sees the view ``racing`` and drives the agents of several races. In half of the races,
 one of its past selves drives half of these karts; hard opponents are drawn more often. The game's
 AI drives the other karts. A curriculum opens more tracks, directions and difficulties as the policy
 gets faster. The reward is the distance driven plus places gained.
 
-    --minutes 10                stop after this time; the same command continues from there
-    --total-timesteps 2000000   or after this total of kart-steps
-    --init FILE                 start from the weights of another run, or of imitation
-    --races 4+1x5               five races of four agents and one bot
+    --init FILE     start from the weights of another run, or of imitation
+    --races 4+1x5   five races of four agents and one bot
 
 To continue a run that was killed, run the same command again. Training consists of rounds. Each
 round starts with new races and its own seeds and ends with a checkpoint, so that the run continues
@@ -40,6 +38,7 @@ import numpy.typing as npt
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
+from stkzoo._os import cpu_count
 from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.mlp import HOLD
 from stkzoo.errors import ConfigError
@@ -157,6 +156,16 @@ class SB3Facts:
     recent: list[dict[str, float]]
 
 
+class TwoThreadPPO(PPO):
+    """PPO that learns in two threads, because the races wait meanwhile."""
+
+    def train(self) -> None:
+        """Updates the policy with the collected rollout."""
+        torch.set_num_threads(min(cpu_count(), 2))
+        super().train()
+        torch.set_num_threads(1)
+
+
 class SB3Run:
     """A run: its races, model and files.
 
@@ -251,11 +260,11 @@ class SB3Run:
 
     def _make_model(self) -> Any:
         arguments = self.arguments
-        torch.set_num_threads(1)  # the network is small; leave the cores to the races
+        torch.set_num_threads(1)  # for single observations, while the races need the cores
         with warnings.catch_warnings():
             # Batches may differ in size: the buffer leaves out idle slots.
             warnings.filterwarnings("ignore", "You have specified a mini-batch size")
-            model: Any = PPO(
+            model: Any = TwoThreadPPO(
                 "MlpPolicy",
                 self._envs,
                 rollout_buffer_class=ActiveRolloutBuffer,
@@ -373,11 +382,9 @@ class SB3Options(ScriptOptions):
 
     Attributes:
         total_timesteps: total kart-steps.
-        minutes: stop after this time, at the end of a round.
     """
 
     total_timesteps: int = 10_000_000
-    minutes: float | None = None
 
 
 def train(options: SB3Options, arguments: SB3Arguments) -> None:
@@ -386,23 +393,19 @@ def train(options: SB3Options, arguments: SB3Arguments) -> None:
     Raises:
         ConfigError: see :class:`SB3Run`.
     """
-    total, minutes = options.total_timesteps, options.minutes
     with (
         closing(SB3Run(options.output, arguments)) as run,
         TrainingLog(run.folder, run.iteration) as log,
     ):
-        with ProgressBar(total, run.kart_steps) as bar:
+        with ProgressBar(options.total_timesteps, run.kart_steps) as bar:
 
             def report(line: dict[str, float]) -> None:
                 log.write(line)
                 show = bar.report if run.iteration % arguments.updates == 0 else bar.show
                 show(line["kart_steps"], _summary(line))
 
-            begin = time.monotonic()
-            while run.kart_steps < total:
+            while run.kart_steps < options.total_timesteps:
                 run.play_round(report)
-                if minutes is not None and time.monotonic() - begin > 60 * minutes:
-                    break
         agent = run.save_agent()
         print(f"stkzoo race {agent} ai ai random --track {arguments.tracks[0]}")
 
