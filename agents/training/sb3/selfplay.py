@@ -38,7 +38,6 @@ import numpy.typing as npt
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
-from stkzoo._os import cpu_count
 from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.mlp import HOLD
 from stkzoo.errors import ConfigError
@@ -110,6 +109,7 @@ class SB3Arguments(PPOArguments):
     """
 
     learning_rate: float = 5e-4
+    n_epochs: int = 3
     ent_coef: Coefficient = 0.003
     races: str = "4+1x5"
     tracks: tuple[str, ...] = option(EASY_TO_HARD, flag="--track", metavar="TRACK")
@@ -154,16 +154,6 @@ class SB3Facts:
     curriculum: CurriculumState
     duels: DuelResults
     recent: list[dict[str, float]]
-
-
-class TwoThreadPPO(PPO):
-    """PPO that learns in two threads, because the races wait meanwhile."""
-
-    def train(self) -> None:
-        """Updates the policy with the collected rollout."""
-        torch.set_num_threads(min(cpu_count(), 2))
-        super().train()
-        torch.set_num_threads(1)
 
 
 class SB3Run:
@@ -260,11 +250,11 @@ class SB3Run:
 
     def _make_model(self) -> Any:
         arguments = self.arguments
-        torch.set_num_threads(1)  # for single observations, while the races need the cores
+        torch.set_num_threads(1)  # the network is small; leave the cores to the races
         with warnings.catch_warnings():
             # Batches may differ in size: the buffer leaves out idle slots.
             warnings.filterwarnings("ignore", "You have specified a mini-batch size")
-            model: Any = TwoThreadPPO(
+            model: Any = PPO(
                 "MlpPolicy",
                 self._envs,
                 rollout_buffer_class=ActiveRolloutBuffer,
