@@ -11,7 +11,7 @@ from stkzoo.race import run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 
 TRACKS = ["lighthouse", "cornfield_crossing", "gran_paradiso_island", "olivermath", "hacienda"]
-# 0.1 per meter driven, at most 5 per second, and 0.3 per place gained.
+# 0.1 per meter driven, up to 50 m/s, and 0.3 per place gained.
 terms = {"advance": advance, "overtaking": overtaking}
 reward = Reward(terms, {"overtaking": 0.3}, {"advance": 5.0})
 

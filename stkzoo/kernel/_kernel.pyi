@@ -271,8 +271,8 @@ class StepScorer:
         sums: ``(A, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
         owed: ``(A, T)`` what each agent has earned by each of the T reward terms but not been paid,
             which :meth:`score_into` updates.
-        limits: ``(A, T)`` most that a term pays in a step; infinite without a limit. The first T
-            columns of ``last`` are terms, the others events.
+        limits: ``(A, T)`` most that a term pays in a step, and a tenth of it for what is owed;
+            infinite without a limit. The first T columns of ``last`` are terms, the others events.
         race_length: number of laps times the length of a lap [m].
         rewards: for each agent the names of its reward's terms, their weights, and their columns in
             ``last``. The caller writes the terms that are Python functions into ``last``.

@@ -148,17 +148,22 @@ static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
     return table.data + agent * self->num_columns;
 }
 
-/* Limits what each term pays in a step. What is left is paid in later steps; the finishing step pays
-   all. */
+static double clip(double value, double limit)
+{
+    return fmax(-limit, fmin(value, limit));
+}
+
+/* Limits what each term pays in a step. What is left is paid in later steps, a tenth of the limit in
+   each; the finishing step pays all. */
 static void limit_terms(const StepScorer *self, npy_intp agent, int has_finished, double *terms)
 {
     double *owed = self->owed.data + agent * self->num_terms;
     const double *limits = self->limits.data + agent * self->num_terms;
     for (npy_intp t = 0; t < self->num_terms; t++) {
-        if (isinf(limits[t])) continue;
-        owed[t] += terms[t];
-        terms[t] = has_finished ? owed[t] : fmax(-limits[t], fmin(owed[t], limits[t]));
-        owed[t] -= terms[t];
+        const double all = terms[t] + owed[t], limit = limits[t];
+        if (isinf(limit)) continue;
+        terms[t] = has_finished ? all : clip(terms[t], limit) + clip(owed[t], limit / 10);
+        owed[t] = all - terms[t];
     }
 }
 

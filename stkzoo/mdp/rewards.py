@@ -95,8 +95,9 @@ class Reward:
         terms: terms by name.
         weights: weights by name; the default weight is 1.
         limits: the most that a term pays per second of game time, before its weight, by name. What
-            is left is paid in later steps; the finishing step pays all. Off the road, the game's
-            distance can jump by up to a lap for a few steps; with a limit, such a jump pays little.
+            is left is paid in later steps, at a tenth of the limit; the finishing step pays all.
+            Off the road, the game's distance can jump by up to a lap for a few steps; with a limit,
+            such a jump pays little.
 
     Raises:
         ConfigError: a name is not text, a term is not callable, or a weight or limit is not finite
@@ -172,14 +173,15 @@ class Reward:
 
 #: The built-in rewards. ``race`` is the default: driving better earns more. A kart that drives a
 #: whole race of L meters and finishes in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1)
-#: + 10 - 0.02 N; a kart that stands still earns -0.02 N. Its limit for ``advance`` is 50 m/s.
+#: + 10 - 0.02 N; a kart that stands still earns -0.02 N. Its limits are 50 m/s for ``advance``, and
+#: 50 per second for ``place``.
 #: ``reference`` is the formula of pystk2-gymnasium, which also rewards a kart that stands still.
 #: ``placement`` has a return in [0, 2], which is higher for a better place.
 REWARDS: Mapping[str, Reward] = {
     "race": Reward(
         {"advance": advance, "place": place, "finish": finish, "time": time},
         {"time": 0.2},
-        {"advance": 5.0, "place": 5.0},
+        {"advance": 5.0, "place": 50.0},
     ),
     "reference": Reward({"progress": progress, "rank": rank, "time": time, "finish": finish}),
     "placement": Reward({"course": course, "placement": placement}),

@@ -126,10 +126,12 @@ class StepScorer:
                 values = np.asarray(TERMS[term](step), np.float64)
                 self._last[agent, column] = weight * values[self._karts[agent]]
             owed, limits = self._owed[agent], self._limits[agent]
-            earned = owed + self._last[agent, : self._num_terms]
-            has_finished = step.after.karts["has_finished_race"][self._karts[agent]] > 0
-            paid = earned if has_finished else earned.clip(-limits, limits)
-            self._last[agent, : self._num_terms], owed[:] = paid, earned - paid
+            earned = self._last[agent, : self._num_terms]
+            paid, left = earned.clip(-limits, limits), owed + earned
+            paid += owed.clip(-limits / 10, limits / 10)
+            if step.after.karts["has_finished_race"][self._karts[agent]] > 0:
+                paid = left
+            earned[:], owed[:] = paid, np.where(np.isinf(limits), 0.0, left - paid)
         if self._events.size:
             self._last[who, self._num_terms :] = self._events[self._karts[who]]
         self._last[np.setdiff1d(np.arange(len(self._karts)), who)] = 0.0
