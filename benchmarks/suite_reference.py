@@ -43,9 +43,8 @@ from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.suite import ALGORITHMS, About, can_learn, evaluate, find_task, load_runs, make_report
-from stkzoo.suite.about import TRAINING_LOG
 from stkzoo.suite.entry import ENTRY_FILE, Entry, entry_orders
-from stkzoo.suite.report.runs import Evaluation, LearningCurve, SuiteRun
+from stkzoo.suite.report.runs import Evaluation
 
 #: Tasks with reference runs, and the seeds of the runs.
 REFERENCE_TASKS = ("solo-general", "versus", "selfplay-5", "team-2v2")
@@ -192,7 +191,7 @@ def pack(folder: Path, names: Sequence[str], archive: Path, output: Path) -> int
     packed = _write_zip(archive, folder, folders, _PACKED)
     (output / "runs").mkdir(parents=True, exist_ok=True)
     for run in folders:
-        _write_zip(output / "runs" / f"{run.name}.zip", run, [run], _KEPT)
+        _write_zip(output / "runs" / f"{run.name}.zip", folder, [run], _KEPT)
     digests: dict[str, dict[str, str]] = {"archives": {}, "files": {}}
     if (output / "digests.json").exists():
         digests = json.loads((output / "digests.json").read_text())
@@ -202,8 +201,10 @@ def pack(folder: Path, names: Sequence[str], archive: Path, output: Path) -> int
         for path in packed
         if path.suffix != ".stkz"
     }
-    files = (output / "runs" / f"{name}.zip" for name in reference_runs())
-    report = make_report([run for file in files if file.exists() for run in _kept_runs(file)])
+    with tempfile.TemporaryDirectory() as place:
+        for file in (output / "runs").glob("*.zip"):
+            zipfile.ZipFile(file).extractall(place)
+        report = make_report(load_runs([place], _kept_evaluation))
     write_text(output / "digests.json", json.dumps(digests, indent=1) + "\n")
     write_text(output / "report.json", report.to_json() + "\n")
     return len(folders)
@@ -224,22 +225,11 @@ def _write_zip(
     return files
 
 
-def _kept_runs(file: Path) -> list[SuiteRun]:
-    """Reads what the repository holds of a run: its evaluations, without their replays."""
-    with tempfile.TemporaryDirectory() as place:
-        zipfile.ZipFile(file).extractall(place)
-        evaluations = {}
-        for folder in sorted(Path(place).glob("entry*")):
-            entry = Entry.load(folder / ENTRY_FILE)
-            results = load_orders(entry_orders(entry.plan), folder)
-            evaluations[folder.name] = Evaluation(folder, entry, tuple(results.values()))
-        log = Path(place) / TRAINING_LOG
-        curve = LearningCurve.load(log) if log.exists() else None
-    train = evaluations.pop("entry-train", None)
-    return [
-        SuiteRun(evaluation, train if name == "entry" else None, curve)
-        for name, evaluation in evaluations.items()
-    ]
+def _kept_evaluation(folder: Path) -> Evaluation:
+    """Reads what the repository holds of an evaluation, which has no replays."""
+    entry = Entry.load(folder / ENTRY_FILE)
+    results = load_orders(entry_orders(entry.plan), folder)
+    return Evaluation(folder, entry, tuple(results.values()))
 
 
 def _sha256(file: Path) -> str:

@@ -167,8 +167,7 @@ class Reward:
         added = {name: change for name, change in changes.items() if callable(change)}
         weights = {name: weight for name, weight in changes.items() if name not in added}
         limits = {name: limit for name, limit in self.limits.items() if name not in added}
-        changed = {**self.weights, **weights}
-        return Reward({**self.terms, **added}, changed, limits)  # type: ignore[arg-type]
+        return Reward({**self.terms, **added}, {**self.weights, **weights}, limits)  # type: ignore[dict-item]
 
 
 #: The built-in rewards. ``race`` is the default: driving better earns more. A kart that drives a

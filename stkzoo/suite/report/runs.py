@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from statistics import fmean
@@ -205,7 +205,9 @@ class SuiteRun:
         return self.curve.kart_steps[-1] if said is None and self.curve else said
 
 
-def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
+def load_runs(
+    paths: Iterable[str | os.PathLike[str]], load: Callable[[Path], Evaluation] = Evaluation.load
+) -> tuple[SuiteRun, ...]:
     """Reads training runs from the folders of their entries.
 
     Entries with the same task, algorithm, seed of the training and variant are of one run. The log
@@ -213,6 +215,7 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
 
     Args:
         paths: folders of entries, and folders that contain them.
+        load: reads the folder of an entry.
 
     Returns:
         The runs, ordered by task, class, algorithm, variant and seed.
@@ -225,7 +228,7 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
     found: dict[bool, dict[Any, Evaluation]] = {False: {}, True: {}}
     owners: dict[tuple[str, ...], Path] = {}
     for folder in _entry_folders(paths):
-        evaluation = Evaluation.load(folder)
+        evaluation = load(folder)
         if (owner := owners.setdefault(evaluation.entry.replays, folder)) != folder:
             raise ConfigError(f"{owner} and {folder} have the same replays; leave one out")
         of_split = found[evaluation.entry.plan.is_on_training_tracks]
