@@ -122,10 +122,12 @@ def sb3(karts: int, races: int, number: int, track: str, iterations: int) -> dic
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
+    from torch.distributions import Distribution
 
     from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 
     torch.set_num_threads(1)
+    Distribution.set_default_validate_args(False)
     race = {"num_kart": karts, "track": track, "view": "racing", "start": "random"}
     envs = RaceVecEnv(races, max_cycles=_MAX_CYCLES, num_starts=32, **race)
     settings = {"n_steps": _STEPS, "batch_size": 512, "n_epochs": 4, "device": "cpu"}
