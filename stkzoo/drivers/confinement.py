@@ -18,7 +18,6 @@ import platform
 import resource
 import struct
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from stkzoo._os import lower_limit
@@ -39,9 +38,10 @@ class Confinement:
 
     Attributes:
         has_own_users: whether it has namespaces of its own for users and for mounts.
-        readable: paths that the agent can read under Landlock; empty without Landlock.
-        writable: paths that the agent can change under Landlock.
-        listable: folders that the agent can list under Landlock.
+        readable: folders and files that the agent can read and execute under Landlock; empty
+            without Landlock.
+        writable: folders and files that the agent can also change under Landlock.
+        listable: folders that the agent can only list under Landlock, with their subfolders.
     """
 
     has_own_users: bool
@@ -63,8 +63,38 @@ class Confinement:
         for limit, most in limits.items():
             lower_limit(limit, most)
         if self.readable:
-            _restrict_files(self.readable, self.writable, self.listable)
+            self._restrict_files()
         restrict_calls(has_own_mounts=self.has_own_users)
+
+    def _restrict_files(self) -> None:
+        """Restricts this thread, and everything that it starts, to these files.
+
+        The process cannot gain new privileges. On x86-64 and AArch64, it also loses all
+        capabilities.
+
+        Raises:
+            OSError: the kernel rejects a rule.
+        """
+        known = landlock_version()
+        rights = _FILE_RIGHTS[min(known, max(_FILE_RIGHTS))]
+        attributes = [rights]
+        attributes += [_TCP] if known >= WITH_TCP else []
+        attributes += [_SCOPES] if known >= WITH_SCOPES else []
+        packed = struct.pack(f"{len(attributes)}Q", *attributes)
+        ruleset = _call(_CREATE_RULESET, packed, len(packed), 0)
+        try:
+            for paths, allowed in (
+                (self.readable, _EXECUTE | _READ_FILE | _READ_DIR),
+                (self.writable, rights),
+                (self.listable, _READ_DIR),
+            ):
+                for path in filter(os.path.exists, paths):
+                    _allow(ruleset, path, allowed)
+            _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+            _call(_RESTRICT_SELF, ruleset, 0)
+            _drop_capabilities()
+        finally:
+            os.close(ruleset)
 
 
 # ---------------------------------------------------------------------- Landlock
@@ -76,7 +106,8 @@ _FILE_RIGHTS = {1: 0x1FFF, 2: 0x3FFF, 3: 0x7FFF, 4: 0x7FFF, 5: 0xFFFF}
 _EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR, _TRUNCATE = 1, 2, 4, 8, 1 << 14
 _CAPSET, _CAPABILITIES_VERSION = {"x86_64": 126, "aarch64": 91}, 0x20080522
 _TCP, _SCOPES = 3, 3  # bind and connect; abstract sockets and signals
-_WITH_TCP, _WITH_SCOPES = 4, 6  # first versions that support them
+#: First versions of Landlock that restrict TCP, and signals and abstract sockets.
+WITH_TCP, WITH_SCOPES = 4, 6
 
 
 def landlock_version() -> int:
@@ -85,53 +116,6 @@ def landlock_version() -> int:
         return 0
     known: int = _libc().syscall(_CREATE_RULESET, None, 0, _ASK_VERSION)
     return max(known, 0)
-
-
-def has_tcp(known: int) -> bool:
-    """Returns whether a version can restrict TCP connections."""
-    return known >= _WITH_TCP
-
-
-def has_scopes(known: int) -> bool:
-    """Returns whether a version can restrict signals and abstract sockets."""
-    return known >= _WITH_SCOPES
-
-
-def _restrict_files(
-    readable: Iterable[str], writable: Iterable[str], listable: Iterable[str]
-) -> None:
-    """Restricts this thread, and everything that it starts, to these files.
-
-    The process cannot gain new privileges. On x86-64 and AArch64, it also loses all capabilities.
-
-    Args:
-        readable: folders and files that the process can read and execute.
-        writable: folders and files that the process can also change.
-        listable: folders that the process can only list, including their subfolders.
-
-    Raises:
-        OSError: the kernel rejects a rule.
-    """
-    known = landlock_version()
-    rights = _FILE_RIGHTS[min(known, max(_FILE_RIGHTS))]
-    attributes = [rights]
-    attributes += [_TCP] if has_tcp(known) else []
-    attributes += [_SCOPES] if has_scopes(known) else []
-    packed = struct.pack(f"{len(attributes)}Q", *attributes)
-    ruleset = _call(_CREATE_RULESET, packed, len(packed), 0)
-    try:
-        for paths, allowed in (
-            (readable, _EXECUTE | _READ_FILE | _READ_DIR),
-            (writable, rights),
-            (listable, _READ_DIR),
-        ):
-            for path in filter(os.path.exists, paths):
-                _allow(ruleset, path, allowed)
-        _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-        _call(_RESTRICT_SELF, ruleset, 0)
-        _drop_capabilities()
-    finally:
-        os.close(ruleset)
 
 
 def _drop_capabilities() -> None:
