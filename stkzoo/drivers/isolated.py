@@ -25,7 +25,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import msgspec
 import numpy as np
@@ -44,6 +44,7 @@ from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 
+_Reply = TypeVar("_Reply", bound=messages.Message)
 _CODE = """\
 import json, sys
 sys.path[:] = json.loads(sys.argv[1])
@@ -89,23 +90,27 @@ class IsolatedAgent:
         self, request: DriverRequest, files: AgentFiles, adapter: str | None = None
     ) -> None:
         self._request, self._agent, self._limits = request, request.agent, request.limits
-        self._limit: float | None = None  # time limit of the current decision
+        self._timeout = 0.0  # of the current phase [s]
         self._memory = (request.limits.memory or 0) << 20  # [bytes]
         self.is_usable = True
         #: Number of track segments that the agent uses; ``None`` for all. Set by :meth:`ready`.
         self.paths_used: int | None = None
-        self._resources = ExitStack()
         try:
-            place = files.place(self._resources)
-            enclosure = enclose(self._limits.sandbox, files, place, adapter, self._resources)
-            self._channel, self._life, self._process = self._spawn(enclosure)
+            with ExitStack() as resources:
+                self._start(files, adapter, resources)
+                self._resources = resources.pop_all()
         except (ConfigError, OSError) as error:
-            self._resources.close()
             raise AgentError(str(error), self._agent) from error
+
+    def _start(self, files: AgentFiles, adapter: str | None, resources: ExitStack) -> None:
+        request = self._request
+        place = files.place(resources)
+        enclosure = enclose(self._limits.sandbox, files, place, adapter, resources)
         self._is_enclosed = enclosure.confinement is not None
+        self._spawn(enclosure, resources)
         self._output = OutputTail(self._process.stdout, request.output_label)
-        self._resources.callback(self._output.close)
-        self._resources.callback(self._end)
+        resources.callback(self._output.close)
+        resources.callback(self._end)
         budget = request.clock.budget
         start = messages.LoadRequest(
             agent=self._agent,
@@ -117,32 +122,24 @@ class IsolatedAgent:
             cpu_time=None if budget is None else self._limits.start_timeout + budget,
             confinement=enclosure.confinement,
         )
-        try:
-            self._send(messages.encode(start), "start", self._limits.start_timeout)
-        except BaseException:
-            self._resources.close()
-            raise
+        self._send(messages.encode(start), "start", self._limits.start_timeout)
 
     def ready(self) -> str:
         """Waits until the agent is loaded and returns the name that it declares."""
-        reply = self._receive("start")
-        if not isinstance(reply, messages.Ready):
-            self._fail("its process sent another message than its name")
+        reply = self._receive("start", messages.Ready)
         self.paths_used = reply.paths_used
         return reply.name
 
     def ask(self, observation: Any) -> None:
         """Sends the observation, which may be encoded already."""
-        self._limit = self._request.clock.limit(self._limits.action_timeout)
+        limit = self._request.clock.limit(self._limits.action_timeout)
         if not isinstance(observation, bytes):
             observation = messages.encode_observation(observation, self.paths_used)
-        self._send(observation, "action", self._limit)
+        self._send(observation, "action", limit)
 
     def answer(self) -> Decision:
         """Waits for the decision; if it arrives too late, kills the agent's process."""
-        reply = self._receive("action")
-        if not isinstance(reply, messages.Decided):
-            self._fail("its process sent another message than an action")
+        reply = self._receive("action", messages.Decided)
         return reply.decision(self._channel.seconds)
 
     def peak_memory(self) -> float | None:
@@ -168,13 +165,14 @@ class IsolatedAgent:
 
     def _send(self, message: bytes, phase: str, timeout: float | None) -> None:
         """Sends a message. The time limit covers the reply too."""
-        self._channel.deadline = time.monotonic() + (timeout or _SEND_TIMEOUT)
+        self._timeout = timeout or _SEND_TIMEOUT
+        self._channel.deadline = time.monotonic() + self._timeout
         with self._talking(phase):
             self._channel.send(message)
         if timeout is None:
             self._channel.deadline = None
 
-    def _receive(self, phase: str) -> messages.Reply:
+    def _receive(self, phase: str, expected: type[_Reply]) -> _Reply:
         """Waits for the process's next message and raises the error that it reports."""
         with self._talking(phase):
             reply = self._channel.receive()
@@ -186,6 +184,8 @@ class IsolatedAgent:
             if self._is_enclosed and str(error).startswith(_OUT_OF_REACH):
                 error.args = (f"{error}{_HINT}", *error.args[1:])
             raise error
+        if not isinstance(reply, expected):
+            self._fail(f"its process sent another message than {expected.__name__.lower()!r}")
         return reply
 
     # ------------------------------------------------------------------ failures
@@ -196,11 +196,8 @@ class IsolatedAgent:
         try:
             yield
         except TimeoutError:
-            limit = self._limits.start_timeout if phase == "start" else self._limit
-            seconds = f"{limit or _SEND_TIMEOUT:g} s"
-            self._fail(
-                f"its {phase} took longer than {seconds}; its process was ended", AgentTimeout
-            )
+            text = f"its {phase} took longer than {self._timeout:g} s; its process was ended"
+            self._fail(text, AgentTimeout)
         except (EOFError, OSError):
             how = "closed its connection"
             if self._has_ended(_GRACE):
@@ -216,13 +213,11 @@ class IsolatedAgent:
 
     # ------------------------------------------------------------------ the process
 
-    def _spawn(
-        self, shell: Enclosure
-    ) -> tuple[ReplyChannel, socket.socket, subprocess.Popen[bytes]]:
+    def _spawn(self, shell: Enclosure, resources: ExitStack) -> None:
         ours, other_end = socket.socketpair()
-        self._resources.callback(ours.close)
-        life, end = socket.socketpair()
-        self._resources.callback(life.close)
+        resources.callback(ours.close)
+        self._life, end = socket.socketpair()
+        resources.callback(self._life.close)
         path = json.dumps(search_path())
         with other_end, end:
             command = [*shell.command, *python_command(_CODE, path, str(other_end.fileno()))]
@@ -230,7 +225,7 @@ class IsolatedAgent:
                 arguments = map(str, (os.getpid(), other_end.fileno(), self._memory))
                 cores = ",".join(map(str, self._request.cores))
                 command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, cores, *command]
-            process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
+            self._process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
                 command,
                 stdin=end.fileno() if _HAS_KEEPER else subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -239,7 +234,7 @@ class IsolatedAgent:
                 start_new_session=True,
                 env={**shell.environment, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )
-        return ReplyChannel(ours), life, process
+        self._channel = ReplyChannel(ours)
 
     def _has_ended(self, seconds: float) -> bool:
         """Waits until the process exits by itself, or the keeper reports why it ends it."""
@@ -324,7 +319,7 @@ def main(connection_fd: int) -> None:
     os.set_inheritable(connection_fd, False)
     channel = Channel(connection_fd)
     try:
-        start: messages.LoadRequest = messages.decode(_start_decoder, channel.receive())
+        start = messages.decode(_start_decoder, channel.receive())
         _limit(start.memory, start.cpu_time)
         if start.confinement is not None:
             start.confinement.apply()
