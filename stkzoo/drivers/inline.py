@@ -17,7 +17,7 @@ from stkzoo._checks import shortened
 from stkzoo.drivers.code import Actor, AgentCode
 from stkzoo.drivers.failures import agent_trace, in_words
 from stkzoo.drivers.instances import Decision, DriverRequest
-from stkzoo.drivers.replies import receive_pending
+from stkzoo.drivers.replies import pending
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
@@ -78,7 +78,7 @@ class InlineAgent:
         agent = self._request.agent
         if not self._is_ready:
             raise AgentError(f"{agent} received an observation before it was ready", agent)
-        receive_pending()  # so that the other drivers pay until now, and not for this driver's time
+        pending.receive()  # so that the other drivers pay until now, and not for this driver's time
         begin, clipped = time.perf_counter(), self._chain.num_clipped
         limit = self._request.clock.limit(self._request.limits.action_timeout)
         try:

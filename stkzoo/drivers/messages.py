@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ from stkzoo.drivers.files import AgentPlace
 from stkzoo.drivers.instances import Decision, DriverInstance
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError
 from stkzoo.kernel import join_rows
+from stkzoo.mdp.spaces import action_of
 
 #: Maximum size of a message [bytes]. The largest is the first of a race on ``black_forest``: 20
 #: karts with all optional entries of the ``full`` view need 1.5 MB there, and 0.2 to 0.4 MB on
@@ -53,6 +54,7 @@ _DTYPES = tuple(map(np.dtype, ("<f4", "<f8", "|i1", "<i8", "|u1")))
 _CODES = {dtype: code for code, dtype in enumerate(_DTYPES)}
 _HEADERS = [struct.Struct(f"<BB{axes}H") for axes in range(_MAX_AXES + 1)]
 
+Decoded = TypeVar("Decoded")
 Count: TypeAlias = Annotated[int, Meta(ge=0, lt=1 << 62)]
 Name: TypeAlias = Annotated[str, Meta(max_length=MAX_NAME)]
 LongText: TypeAlias = Annotated[str, Meta(max_length=2 * MAX_TEXT)]
@@ -81,10 +83,7 @@ class Action(Struct, frozen=True, forbid_unknown_fields=True):
 
     def values(self) -> dict[str, Any]:
         """Returns the element of the game's action space."""
-        values: dict[str, Any] = msgspec.structs.asdict(self)
-        for name in ("acceleration", "steer"):
-            values[name] = np.array([values[name]], np.float32)
-        return values
+        return action_of(np.array(msgspec.structs.astuple(self), np.float32))
 
 
 # ---------------------------------------------------------------------- an agent's process
@@ -175,7 +174,7 @@ def start_reply(agent: DriverInstance) -> Ready | Failed:
 # ---------------------------------------------------------------------- coding
 
 _encoder = msgspec.msgpack.Encoder()
-_observations = msgspec.msgpack.Decoder(
+_observations: msgspec.msgpack.Decoder[dict[str, Any]] = msgspec.msgpack.Decoder(
     Annotated[dict[Name, int | str | Ext], Meta(max_length=_MAX_ENTRIES)]
 )
 
@@ -194,7 +193,7 @@ def encode(message: Struct) -> bytes:
     return data
 
 
-def decode(decoder: msgspec.msgpack.Decoder[Any], data: bytes) -> Any:
+def decode(decoder: msgspec.msgpack.Decoder[Decoded], data: bytes) -> Decoded:
     """Decodes a message.
 
     Args:
@@ -245,7 +244,7 @@ def decode_observation(data: bytes) -> dict[str, Any]:
     Raises:
         ProtocolError: the bytes are not an observation, or it takes too much memory.
     """
-    entries: dict[str, Any] = decode(_observations, data)
+    entries = decode(_observations, data)
     memory = _MEMORY_PER_BYTE * len(data) + _MEMORY_OF_SHORT
     for name, entry in entries.items():
         if isinstance(entry, Ext):

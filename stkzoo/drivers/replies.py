@@ -27,7 +27,7 @@ from stkzoo.errors import ProtocolError
 LENGTH = struct.Struct("!I")
 _BLOCK = 65536
 
-_replies = msgspec.msgpack.Decoder(Reply)
+_replies: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
 
 
 class Receiver(Protocol):
@@ -40,60 +40,48 @@ class Receiver(Protocol):
         """Receives the available data without waiting; never raises."""
 
 
-class _PendingReplies(threading.local):
-    """Receivers of one thread that wait for a reply.
+class PendingReplies(threading.local):
+    """The receivers of one thread that wait for a reply.
 
     Attributes:
-        looked: when the thread last looked for replies (:func:`time.monotonic`).
+        receivers: the receivers; each adds and removes itself.
+        looked: when the thread last looked for replies (:func:`time.monotonic`). A reply that it
+            receives now arrived at this time or later.
     """
 
     def __init__(self) -> None:
         self.receivers: set[Receiver] = set()
         self.looked = -math.inf
 
+    def receive(self) -> None:
+        """Receives the data that has arrived for this thread since it last looked."""
+        now = time.monotonic()
+        for receiver in [*self.receivers]:
+            receiver.receive_available()
+        self.looked = now
 
-_pending = _PendingReplies()
+    def wait(self, events: Mapping[int, int], deadline: float | None) -> None:
+        """Waits until a descriptor is ready, and receives the replies that arrive meanwhile.
 
-
-def pending_replies() -> set[Receiver]:
-    """Returns this thread's receivers that wait for a reply; each adds and removes itself."""
-    return _pending.receivers
-
-
-def receive_pending() -> None:
-    """Receives the data that has arrived for this thread since it last looked."""
-    now = time.monotonic()
-    for receiver in [*_pending.receivers]:
-        receiver.receive_available()
-    _pending.looked = now
-
-
-def wait_for(events: Mapping[int, int], deadline: float | None) -> None:
-    """Waits until a descriptor is ready, and receives the replies that arrive meanwhile.
-
-    Args:
-        events: the events to wait for (:func:`select.poll`), by descriptor, besides those of the
-            thread's receivers.
-        deadline: time limit (:func:`time.monotonic`); ``None`` for no limit.
-    """
-    poll = select.poll()
-    waiting = {receiver.fileno(): receiver for receiver in _pending.receivers}
-    for descriptor, event in {**dict.fromkeys(waiting, select.POLLIN), **events}.items():
-        poll.register(descriptor, event)
-    left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
-    ready = poll.poll(None if left is None else math.ceil(1000 * left))
-    _pending.looked = time.monotonic()
-    for descriptor, _ in ready:
-        if descriptor in waiting:
-            waiting[descriptor].receive_available()
+        Args:
+            events: the events to wait for (:func:`select.poll`), by descriptor, besides those of
+                the thread's receivers.
+            deadline: time limit (:func:`time.monotonic`); ``None`` for no limit.
+        """
+        poll = select.poll()
+        waiting = {receiver.fileno(): receiver for receiver in self.receivers}
+        for descriptor, event in {**dict.fromkeys(waiting, select.POLLIN), **events}.items():
+            poll.register(descriptor, event)
+        left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+        ready = poll.poll(None if left is None else math.ceil(1000 * left))
+        self.looked = time.monotonic()
+        for descriptor, _ in ready:
+            if descriptor in waiting:
+                waiting[descriptor].receive_available()
 
 
-def arrival_time() -> float:
-    """Returns when a reply arrived, at the earliest, if this thread receives it now.
-
-    This is when the thread last looked for replies, in the time of :func:`time.monotonic`.
-    """
-    return _pending.looked
+#: The receivers of the current thread.
+pending = PendingReplies()
 
 
 class ReplyChannel:
@@ -116,7 +104,7 @@ class ReplyChannel:
         self._buffer = bytearray()
         self._missing = LENGTH.size
         self._problem: Exception | None = None
-        self._pending = pending_replies()
+        self._pending = pending.receivers
         self._sent = self._complete = time.monotonic()  # begin and end of sending
         self._arrived = math.inf
         self.deadline: float | None = None
@@ -143,7 +131,7 @@ class ReplyChannel:
                 self._wait({self.fileno(): select.POLLOUT})
         self._complete = time.monotonic()  # on a shared core, the agent may have thought meanwhile
         self._pending.add(self)
-        receive_pending()
+        pending.receive()
 
     def receive(self) -> Reply:
         """Waits for the reply.
@@ -153,17 +141,15 @@ class ReplyChannel:
             OSError: the connection failed, or the deadline has passed (``TimeoutError``).
             ProtocolError: the bytes are not a valid message.
         """
-        if self._missing and self._problem is None:
-            self._pending.add(self)
-            receive_pending()
+        if self in self._pending:
+            pending.receive()
         while self in self._pending:
             self._wait({})
         if self._problem is not None:
             raise self._problem
         data = bytes(memoryview(self._buffer)[LENGTH.size :])
         self._buffer, self._missing = bytearray(), LENGTH.size
-        reply: Reply = decode(_replies, data)
-        return reply
+        return decode(_replies, data)
 
     def fileno(self) -> int:
         """Returns the socket's file descriptor."""
@@ -178,7 +164,7 @@ class ReplyChannel:
             return
         except (EOFError, OSError, ProtocolError) as problem:
             self._problem = problem
-        self._arrived = max(arrival_time(), self._complete)
+        self._arrived = max(pending.looked, self._complete)
         self._pending.discard(self)
 
     def _receive_part(self) -> None:
@@ -212,4 +198,4 @@ class ReplyChannel:
         """
         if self.deadline is not None and time.monotonic() >= self.deadline:
             raise TimeoutError
-        wait_for(events, self.deadline)
+        pending.wait(events, self.deadline)

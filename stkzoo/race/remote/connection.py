@@ -11,7 +11,7 @@ from typing import Any
 
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.messages import Message, encode
-from stkzoo.drivers.replies import arrival_time, pending_replies, receive_pending, wait_for
+from stkzoo.drivers.replies import pending
 from stkzoo.errors import ProtocolError, RemoteError
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.sockets import KeyPair, client_socket, zmq_module
@@ -57,7 +57,7 @@ class Connection:
         self._failure: RemoteError | None = None
         self._expected: deque[type[Message]] = deque()
         self._replies: deque[Any] = deque()
-        self._pending = pending_replies()
+        self._pending = pending.receivers
         self._sent = self._arrived = time.monotonic()
         self._is_welcome = False
         self.request(protocol.Hello(protocol.VERSION, version("stkzoo")), protocol.Welcome)
@@ -78,7 +78,7 @@ class Connection:
         self._sent = time.monotonic()
         self._expected.append(expected)
         self._send(message)
-        receive_pending()
+        pending.receive()
 
     def reply(self, deadline: float, what: str) -> Any:
         """Waits for the next reply.
@@ -94,7 +94,7 @@ class Connection:
             ServerTimeout: the server did not reply in time.
             RemoteError: the connection failed.
         """
-        receive_pending()
+        pending.receive()
         self._look()
         while not self._replies:
             if self._failure:
@@ -104,7 +104,7 @@ class Connection:
                 self._fail(f"{self._address} did not {what} in time{remedy}", ServerTimeout)
                 continue
             descriptors = self._socket.fileno(), self._monitor.fileno()
-            wait_for(dict.fromkeys(descriptors, select.POLLIN), deadline)
+            pending.wait(dict.fromkeys(descriptors, select.POLLIN), deadline)
             self._look()
         return self._replies.popleft()
 
@@ -164,7 +164,7 @@ class Connection:
             return
         expected = self._expected.popleft() if self._expected else ()
         if isinstance(message, expected):
-            self._is_welcome, self._arrived = True, arrival_time()
+            self._is_welcome, self._arrived = True, pending.looked
             self._replies.append(message)
         elif isinstance(message, protocol.Refused):
             self._fail(f"{self._address}: {printable(message.reason)}")

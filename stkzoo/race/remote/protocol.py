@@ -6,14 +6,15 @@ own connection.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
-import msgspec
 from msgspec import Meta, Struct
+from msgspec.msgpack import Decoder
 
 from stkzoo.drivers.messages import (
     Count,
     Decided,
+    Decoded,
     Failed,
     LongText,
     Message,
@@ -116,8 +117,8 @@ class Refused(Message):
 
 ServerMessage: TypeAlias = Welcome | Opened | Acted | Refused
 
-_from_client = msgspec.msgpack.Decoder(ClientMessage)
-_from_server = msgspec.msgpack.Decoder(ServerMessage)
+_from_client: Decoder[ClientMessage] = Decoder(ClientMessage)
+_from_server: Decoder[ServerMessage] = Decoder(ServerMessage)
 
 
 def read_request(frames: list[bytes]) -> ClientMessage:
@@ -126,8 +127,7 @@ def read_request(frames: list[bytes]) -> ClientMessage:
     Raises:
         ProtocolError: the frames are not such a message, or it has another version.
     """
-    message: ClientMessage = _read(_from_client, frames)
-    return message
+    return _read(_from_client, frames)
 
 
 def read_reply(frames: list[bytes]) -> ServerMessage:
@@ -136,11 +136,10 @@ def read_reply(frames: list[bytes]) -> ServerMessage:
     Raises:
         ProtocolError: the frames are not such a message, or it has another version.
     """
-    message: ServerMessage = _read(_from_server, frames)
-    return message
+    return _read(_from_server, frames)
 
 
-def _read(decoder: msgspec.msgpack.Decoder[Any], frames: list[bytes]) -> Any:
+def _read(decoder: Decoder[Decoded], frames: list[bytes]) -> Decoded:
     if len(frames) != 1:
         raise ProtocolError("a message of several frames came, expected one frame")
     message = decode(decoder, frames[0])
