@@ -5,11 +5,18 @@ All functions process the whole race at once, as arrays with a leading axis of k
 
 from stkzoo.mdp import rewards
 from stkzoo.mdp.geometry import rotation_matrices
-from stkzoo.mdp.spaces import action_of, as_actions, kart_action_space, kart_observation_space
+from stkzoo.mdp.spaces import (
+    action_of,
+    as_actions,
+    controls_of,
+    kart_action_space,
+    kart_observation_space,
+)
 
 __all__ = [
     "action_of",
     "as_actions",
+    "controls_of",
     "kart_action_space",
     "kart_observation_space",
     "rewards",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,11 @@ def action_of(controls: npt.NDArray[np.float32]) -> dict[str, Any]:
     """Converts controls ``(7,)`` to an action: floats ``(1,)`` and buttons ``int``."""
     buttons = {name: int(controls[place]) for place, name in enumerate(CONTROLS[2:], start=2)}
     return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
+
+
+def controls_of(action: Mapping[str, Any]) -> list[float]:
+    """Converts an action to a row of controls."""
+    return [float(np.asarray(action[name]).reshape(())) for name in CONTROLS]
 
 
 #: The standing of a kart in the race: name, number of values, unit and meaning of each part. All

@@ -50,7 +50,7 @@ SHORT = {
     "karts": [],
     "keys": [],
 }
-#: The same for films; tests/race/test_video.py and tests/race/replay have the game render them.
+#: The same for films; tests/race/test_video.py and test_replay.py have the game render them.
 IN_FILMS = ["--render-backend", "map"]
 #: Commands that are only parsed here, and the tests that run them.
 PARSED = {
@@ -69,7 +69,7 @@ PARSED = {
     "tournament": "many races: tests/evaluation/test_tournament.py",
     "--web": "in real time, for viewers: tests/race/web/test_browser.py",
     "--demo": "in a terminal: tests/cli/test_race.py",
-    "--ghost": "needs races that last until the start: tests/race/replay/test_ghost.py",
+    "--ghost": "needs races that last until the start: tests/race/test_ghost.py",
     "-h": "",
 }
 

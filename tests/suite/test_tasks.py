@@ -12,7 +12,7 @@ from stkzoo.cli import main
 from stkzoo.engine.process import LIBM
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, run_race
-from stkzoo.race.replay.file import next_digest
+from stkzoo.race.replay import next_digest
 from stkzoo.suite import POPULATION, TASKS, find_task, id_of, plan_entry, view_of
 from stkzoo.suite.entry import entry_orders
 from stkzoo.suite.population import draw_rivals

@@ -39,9 +39,8 @@ from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import AgentError, ConfigError, StkzooError
 from stkzoo.evaluation import DemoView, record_demonstrations
-from stkzoo.mdp import action_of, kart_action_space, kart_observation_space
+from stkzoo.mdp import action_of, controls_of, kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
-from stkzoo.race.replay import controls_of
 from stkzoo.wrappers.racing import controls_of_choices
 
 from ..common.actors import end_with_parent

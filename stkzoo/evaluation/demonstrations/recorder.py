@@ -19,9 +19,8 @@ from stkzoo.evaluation.demonstrations.dataset import (
     columns_of,
     join,
 )
-from stkzoo.mdp.spaces import action_of, kart_action_space, kart_observation_space
+from stkzoo.mdp import action_of, controls_of, kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay import controls_of
 from stkzoo.race.result import RaceResult
 from stkzoo.views import VIEWS, extras_for
 from stkzoo.views.agent_chain import AgentChain
