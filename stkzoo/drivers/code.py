@@ -86,8 +86,9 @@ def load_agent(place: AgentPlace, adapter: str | None = None) -> AgentCode:
     """
     create_actor = None
     if adapter is not None:
-        helper = _load_adapter(Path(adapter))
-        create_actor = helper.create_actor
+        helper = _run_file("stkzoo_race_adapter", Path(adapter))
+        arguments = ("get_actor", "module_dir", "observation_space", "action_space")
+        create_actor = _required(helper, "create_actor", *arguments)
         if hasattr(helper, "prepare_module_dir"):
             helper.prepare_module_dir(Path(place.package or place.first or place.last))
     scope = ModuleScope(place)
@@ -114,14 +115,10 @@ def read_module(
         ConfigError: the module is not an agent.
     """
     folder = Path(str(module.__file__)).parent
-    get_actor = getattr(module, "get_actor", None)
-    if not callable(get_actor):
-        raise ConfigError(
-            f"{module.__file__} has no function get_actor; expected "
-            "get_actor(module_dir, observation_space, action_space)"
-        )
+    arguments = ("module_dir", "observation_space", "action_space")
+    get_actor = _required(module, "get_actor", *arguments)
     if create_actor is None:
-        _check_call(get_actor, "get_actor", "module_dir", "observation_space", "action_space")
+        _check_call(get_actor, "get_actor", *arguments)
     else:
         get_actor = partial(create_actor, get_actor)
     create_state = _function_of(module, "create_state", lambda: None)
@@ -147,6 +144,20 @@ def read_module(
         get_batch_actor = _function_of(module, "get_batch_actor")
         together = partial(_act_together, functools.cache(partial(get_batch_actor, folder)))
     return AgentCode(wrap, make_actor, name, scope or nullcontext(), together)
+
+
+def _required(module: ModuleType, name: str, *arguments: str) -> Callable[..., Any]:
+    """Returns a function that a module must have.
+
+    Raises:
+        ConfigError: the module has no such function.
+    """
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ConfigError(
+            f"{module.__file__} has no function {name}; expected {name}({', '.join(arguments)})"
+        )
+    return function
 
 
 def _function_of(module: ModuleType, name: str, default: object = None) -> Callable[..., Any]:
@@ -228,16 +239,6 @@ def declared_view(files: AgentFiles) -> ViewFactory:
         return _view_of(declared(files, "env_name"))
     except (ConfigError, RecursionError):
         return VIEWS["full"]  # reported when the agent is loaded
-
-
-def _load_adapter(path: Path) -> ModuleType:
-    module = _run_file("stkzoo_race_adapter", path)
-    if not callable(getattr(module, "create_actor", None)):
-        raise ConfigError(
-            f"the adapter {str(path)!r} has no function create_actor; expected "
-            "create_actor(get_actor, module_dir, observation_space, action_space)"
-        )
-    return module
 
 
 def _run_file(name: str, file: Path) -> ModuleType:
