@@ -152,7 +152,7 @@ def _required(module: ModuleType, name: str, *arguments: str) -> Callable[..., A
     Raises:
         ConfigError: the module has no such function.
     """
-    function = getattr(module, name, None)
+    function: object = getattr(module, name, None)
     if not callable(function):
         raise ConfigError(
             f"{module.__file__} has no function {name}; expected {name}({', '.join(arguments)})"

@@ -22,7 +22,6 @@ from pathlib import Path
 from stkzoo._imports import python_executable, search_path
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers import confinement
-from stkzoo.drivers.call_filter import has_call_filter
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
     INSTALLED,
@@ -162,7 +161,7 @@ def protections(sandbox: str) -> tuple[str, ...]:
         sandbox: its kind, from :func:`sandbox_kind`.
     """
     version = confinement.landlock_version() if sandbox == LANDLOCK else 0
-    has_filter = sandbox != NONE and has_call_filter()
+    has_filter = sandbox != NONE and confinement.has_call_filter()
     active = {
         "files": sandbox != NONE,
         "environment variables": sandbox != NONE,

@@ -13,7 +13,7 @@ import pytest
 
 from stkzoo._temporary import remove_stale_folders
 from stkzoo.drivers import confinement, sandbox
-from stkzoo.drivers.call_filter import has_call_filter
+from stkzoo.drivers.confinement import has_call_filter
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from tests.support.adversaries import (

@@ -7,9 +7,9 @@ import struct
 
 import pytest
 
-from stkzoo.drivers import call_filter
+from stkzoo.drivers import confinement
 
-pytestmark = pytest.mark.skipif(not call_filter.has_call_filter(), reason="needs libseccomp")
+pytestmark = pytest.mark.skipif(not confinement.has_call_filter(), reason="needs libseccomp")
 
 #: Architectures of the kernel, by the name that libseccomp uses.
 ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
@@ -91,12 +91,12 @@ def result_of(request, monkeypatch, tmp_path):
     """Returns a function that gives the filter's result for a call with these arguments."""
     filters = {}
     with (tmp_path / "filter").open("w+b") as file:
-        library = Library(call_filter._library(), request.param, file)
-        monkeypatch.setattr(call_filter, "_library", lambda: library)
+        library = Library(confinement._library(), request.param, file)
+        monkeypatch.setattr(confinement, "_library", lambda: library)
         for has_own_mounts in (True, False):
             os.truncate(file.fileno(), 0)
             file.seek(0)
-            call_filter.restrict_calls(has_own_mounts=has_own_mounts)
+            confinement.restrict_calls(has_own_mounts=has_own_mounts)
             file.seek(0)
             filters[has_own_mounts] = [*struct.iter_unpack("<HBBI", file.read())]
 
