@@ -109,7 +109,6 @@ class IsolatedAgent:
         self._is_enclosed = enclosure.confinement is not None
         self._spawn(enclosure, resources)
         self._output = OutputTail(self._process.stdout, request.output_label)
-        resources.callback(self._output.close)
         resources.callback(self._end)
         budget = request.clock.budget
         start = messages.LoadRequest(

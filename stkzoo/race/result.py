@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from importlib.metadata import version
 from typing import Annotated, Any, ClassVar
 
@@ -114,11 +113,6 @@ class AgentResult:
 
 def versions_now() -> dict[str, str]:
     """Returns the versions of the installed software and of the C library, by name."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
     versions = {name: version(package) for name, package in packages.items()}
     # Without LIBM (stkzoo.engine.process), some races depend on it.

@@ -272,8 +272,8 @@ class _RaceRun:
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
             spec.name = name
         self._observations, self._infos = self._env.reset(seed=self._settings.seed)
-        assert self._env.track_map is not None  # noqa: S101 - since reset
-        self._length = self._env.track_map.length * self._env.options.laps
+        episode = self._env.live_race.running("run_race")
+        self._length = episode.track_map.length * self._env.options.laps
         patience = (self._length / _SLOWEST + _GRACE) / self._env.options.step_size
         self._patience = round(patience)
 
@@ -287,8 +287,7 @@ class _RaceRun:
         for agent, reward in self._rewards.items():
             self._totals[agent] += reward
         self._steps += 1
-        snapshot = self._env.snapshot
-        assert snapshot is not None  # noqa: S101 - since reset
+        snapshot = self._env.live_race.running("run_race").snapshot
         self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
         if self._num_finished():
             self._steps_at_first = min(self._steps_at_first, self._steps)
@@ -374,8 +373,7 @@ class _RaceRun:
         return self._steps * self._env.options.step_size
 
     def _result(self, status: str) -> RaceResult:
-        race = self._env.race
-        assert race is not None  # noqa: S101 - since reset
+        race = self._env.live_race.running("run_race").race
         places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
         return RaceResult(

@@ -197,17 +197,13 @@ def _leaf(value: Any, name: str) -> Any:
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):
-        return _named(int(value), name)
+        kinds = _LEGEND.get(name)
+        if kinds is not None and value in kinds.__members__.values():
+            return f"{value} {_word(kinds(int(value)).name)}"
+        return int(value)
     if isinstance(value, (float, np.floating)):
         return float(f"{float(value):.5g}") if math.isfinite(value) else str(value)
     return None if value is None else str(value)[:200]
-
-
-def _named(value: int, name: str) -> int | str:
-    kinds = _LEGEND.get(name)
-    if kinds is None or value not in kinds.__members__.values():
-        return value
-    return f"{value} {_word(kinds(value).name)}"
 
 
 def _word(name: str) -> str:
