@@ -153,7 +153,6 @@ class IsolatedAgent:
 
     def close(self) -> None:
         """Kills the process and its descendants, and removes the agent's unpacked files."""
-        self.is_usable = False
         self._channel.close()
         try:
             self._has_ended(_GRACE)

@@ -102,19 +102,20 @@ def enclose(
     agent_paths = _agent_paths(files, place)
     paths = [*_SYSTEM, *_python_paths(), *agent_paths, *([adapter] if adapter else [])]
     changed = agent_paths if adapter else []  # an adapter's prepare_module_dir may change them
-    home = "/tmp"  # noqa: S108 - inside the sandbox
-    if sandbox == LANDLOCK:
+    if sandbox == BUBBLEWRAP:
+        home = "/tmp"  # noqa: S108 - inside the sandbox
+        command = _bubblewrap_command(paths, changed)
+        confined = confinement.Confinement(True)
+    else:
         home = str(resources.enter_context(TemporaryFolder("sandbox")).path)
-    environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
-    environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
-    if sandbox == LANDLOCK:
+        command = []
         # A package is imported from its own folder. Other modules are searched in these.
         searched = [] if place.package else [place.first, place.last]
         readable, writable = [*paths, *_KERNEL], [home, *changed, *_DEVICES]
         confined = confinement.Confinement(False, readable, writable, searched)
-        return Enclosure((), environment, confined)
-    command = _bubblewrap_command(paths, changed)
-    return Enclosure(command, environment, confinement.Confinement(True))
+    environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+    environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
+    return Enclosure(command, environment, confined)
 
 
 def sandbox_kind(mode: str) -> str:

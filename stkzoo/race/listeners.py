@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from stkzoo.race.result import AgentFailure, RaceResult
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from stkzoo.env.grid import RaceInfo
     from stkzoo.env.parallel import RaceParallelEnv
     from stkzoo.render.scene import Scene
-
-_Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,22 +67,19 @@ class RaceProgress:
     @property
     def snapshot(self) -> Snapshot:
         """Current state of all karts and items."""
-        return _present(self.env.snapshot)
+        return self.env.live_race.running("snapshot").snapshot
 
     @property
     def scene(self) -> Scene:
         """Description of the race for renderers."""
-        return _present(self.env.scene)
+        scene = self.env.scene
+        assert scene is not None  # noqa: S101 - the race has started
+        return scene
 
     @property
     def race_info(self) -> RaceInfo:
         """Facts about the race, such as its track and karts."""
-        return _present(self.env.race)
-
-
-def _present(value: _Value | None) -> _Value:
-    assert value is not None  # noqa: S101 - the race has started
-    return value
+        return self.env.live_race.running("race_info").race
 
 
 class RaceListener:

@@ -117,8 +117,7 @@ class RacingDriver:
         try:
             decision = self._started().answer()
         except Exception as error:  # noqa: BLE001 - affects only this driver
-            self._handle(error, step)
-            return self._replacement()
+            return self.replace_action(error, step)
         self.seconds.append(decision.seconds)
         self.clock.used += decision.seconds
         if self.clock.is_over:
@@ -131,7 +130,7 @@ class RacingDriver:
         return decision.action
 
     def replace_action(self, error: Exception, step: int) -> Any:
-        """Records an invalid action and returns a replacement."""
+        """Records the failure of a decision, or an invalid action, and returns a replacement."""
         self._handle(error, step)
         return self._replacement()
 

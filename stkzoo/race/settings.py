@@ -102,9 +102,8 @@ class RaceSettings:
         for name in ("action_timeout", "time_budget"):
             if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), unit="seconds")
-        for name, known in (("sandbox", MODES), ("error_handling", ERROR_HANDLING)):
-            if not isinstance(value := getattr(self, name), str) or value not in known:
-                raise ConfigError(f"{name} is {value!r}, expected one of {', '.join(known)}")
+        check_name("sandbox", self.sandbox, MODES)
+        check_name("error_handling", self.error_handling, ERROR_HANDLING)
         if self.sandbox == "on" and self.inline:
             raise ConfigError("sandbox is 'on', but agents run inline; leave out one of the two")
 

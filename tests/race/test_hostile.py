@@ -630,7 +630,7 @@ def test_a_missing_sandbox_is_logged_once(monkeypatch, caplog):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"sandbox": "yes"}, "sandbox is 'yes', expected one of auto, on, off"),
+        ({"sandbox": "yes"}, "unknown sandbox 'yes'. Known: auto, off, on"),
         ({"sandbox": "on", "inline": True}, "agents run inline; leave out one of the two"),
     ],
 )

@@ -163,7 +163,7 @@ def test_an_invalid_step_limit_is_refused(max_steps):
     [
         ({"mode": "soccer"}, "unknown mode 'soccer'. Known: normal, time_trial"),
         ({"kart": "tank"}, "unknown kart 'tank'"),
-        ({"error_handling": "pray"}, "error_handling is 'pray', expected one of raise, catch"),
+        ({"error_handling": "pray"}, "unknown error_handling 'pray'. Known: catch, raise"),
         ({"action_timeout": -1}, "action_timeout is -1, expected a number of seconds"),
         ({"start_timeout": 0}, "start_timeout is 0"),
         ({"agent_memory": 1.5}, "agent_memory is 1.5"),
