@@ -189,7 +189,10 @@ class RemoteAgent:
         self, request: DriverRequest, group: RemoteDriverGroup, served: ServedAgent
     ) -> None:
         self._group, self._served = group, served
-        self._agent, self._limits = request.agent, request.limits
+        self._agent, self._start_timeout = request.agent, request.limits.start_timeout
+        limit = request.limits.action_timeout
+        usual_timeout = _TIMEOUT if limit is None else limit + _MARGIN
+        self._timeout = usual_timeout if group.timeout is None else group.timeout
         self._paths: int | None = None
         self.is_usable = True
         self._begin = time.monotonic()
@@ -201,20 +204,20 @@ class RemoteAgent:
             agent=request.agent,
             extras=sorted(extras_of(request.observation_space)),
             seed=request.seed,
-            action_timeout=request.limits.action_timeout,
-            start_timeout=request.limits.start_timeout,
+            action_timeout=limit,
+            start_timeout=self._start_timeout,
         )
         self._connection.request(opening, Opened)
 
     def ready(self) -> str:
         """Waits until the agent is ready and returns the name that it declares."""
-        start_timeout, server = self._limits.start_timeout, self._served.server
+        server = self._served.server
         with self._failures():
-            patience = min(self._group.connect_timeout, start_timeout)
+            patience = min(self._group.connect_timeout, self._start_timeout)
             welcome: Welcome = self._connection.reply(self._begin + patience, "connect")
             if self._served not in ServedAgent.all_of(server, welcome):
                 raise ProtocolError(f"the agents of {server.address} have changed")
-            deadline = self._begin + start_timeout + _MARGIN
+            deadline = self._begin + self._start_timeout + _MARGIN
             opened: Opened = self._connection.reply(deadline, "start an agent")
         outcome = opened.outcome
         if isinstance(outcome, Failed):
@@ -231,7 +234,7 @@ class RemoteAgent:
     def answer(self) -> Decision:
         """Waits for the decision."""
         with self._failures():
-            acted: Acted = self._connection.reply(self._begin + self._timeout(), "answer")
+            acted: Acted = self._connection.reply(self._begin + self._timeout, "answer")
         outcome, seconds = acted.outcome, self._connection.seconds
         if isinstance(outcome, Failed):
             self.is_usable = acted.is_usable
@@ -242,13 +245,6 @@ class RemoteAgent:
         """Stops the agent on the server."""
         self.is_usable = False
         self._connection.close()
-
-    def _timeout(self) -> float:
-        """Returns the time limit for the server's reply [s]."""
-        if self._group.timeout is not None:
-            return self._group.timeout
-        limit = self._limits.action_timeout
-        return _TIMEOUT if limit is None else limit + _MARGIN
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
