@@ -249,7 +249,6 @@ def _rules(has_own_mounts: bool) -> Iterator[tuple[str, int, Iterable[_ArgumentR
     yield from ((name, _ALLOW if has_own_mounts else _ERRNO, ()) for name in _ATTRIBUTES)
 
 
-@functools.cache
 def has_call_filter() -> bool:
     """Returns whether calls can be restricted: with libseccomp, on x86-64 and AArch64."""
     return _library() is not None

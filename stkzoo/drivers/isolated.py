@@ -355,10 +355,9 @@ def _load(channel: Channel, start: messages.LoadRequest) -> InlineAgent | None:
 def _decide(agent: InlineAgent, observation: Any) -> messages.Reply:
     agent.ask(observation)
     try:
-        decision = agent.answer()
+        return messages.Decided.of(agent.answer())
     except AgentError as error:
         return messages.Failed.of(error)
-    return messages.Decided.of(decision)
 
 
 def _seed_everything(seed: int) -> None:
