@@ -11,7 +11,7 @@ import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePath, PurePosixPath
 
@@ -56,12 +56,14 @@ class AgentPlace:
         first: folder to add at the beginning of the module search path; empty for none.
         last: folder to add at the end of the module search path; empty for none.
         package: folder of the module's package; empty for none.
+        paths: folders and files of the agent.
     """
 
     modules: tuple[str, ...]
     first: str = ""
     last: str = ""
     package: str = ""
+    paths: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,16 +88,18 @@ class AgentFiles:
             ConfigError: the folder or zip contains no agent, or the zip cannot be unpacked.
         """
         if self.path is None:
-            module = self.source
-            return AgentPlace((f"{module}.{ACTOR_MODULE}", module), last=str(Path.cwd()))
+            module, paths = self.source, tuple(module_paths(self.source))
+            names = (f"{module}.{ACTOR_MODULE}", module)
+            return AgentPlace(names, last=str(Path.cwd()), paths=paths)
         if self.path.is_dir():
-            return _place_in(self.path, self.source)
+            return replace(_place_in(self.path, self.source), paths=(str(self.path),))
         if self.path.suffix == ".py":
-            return AgentPlace((self.path.stem,), first=str(self.path.parent))
-        folder = resources.enter_context(TemporaryFolder("agent"))
-        home = folder.path / self.path.stem
+            folder = self.path.parent
+            files = folder if self.path.stem == ACTOR_MODULE else self.path
+            return AgentPlace((self.path.stem,), first=str(folder), paths=(str(files),))
+        home = resources.enter_context(TemporaryFolder("agent")).path / self.path.stem
         unpack(self.path, home)
-        return _place_in_zip(home, self.source)
+        return replace(_place_in_zip(home, self.source), paths=(str(home),))
 
 
 def declared(files: AgentFiles, name: str) -> object:
@@ -161,6 +165,14 @@ def installed_module(top: str) -> ModuleSpec | None:
         return importlib.util.find_spec(top)
     except (ImportError, OSError, ValueError):
         return None
+
+
+def module_paths(name: str) -> list[str]:
+    """Returns the folders and files of a module or package without running it."""
+    top = name.partition(".")[0]
+    spec = installed_module(top)
+    places = [*(spec.submodule_search_locations or [spec.origin or ""])] if spec else []
+    return [os.path.abspath(path) for path in (*places, top, f"{top}.py") if os.path.exists(path)]
 
 
 def is_zip(path: PurePath) -> bool:
@@ -272,12 +284,6 @@ def _is_library(name: str) -> bool:
     spec = installed_module(name)
     places = [*(spec.submodule_search_locations or ()), spec.origin or ""] if spec else []
     return any(INSTALLED & {*Path(place).parts} for place in places)
-
-
-def unpacked_folder(place: AgentPlace) -> Path:
-    """Returns the folder that contains all files of an agent from a zip."""
-    folder = Path(place.package or place.first)
-    return folder.parent if folder.name == _PACKAGE else folder
 
 
 def _only_folder(folder: Path) -> Path:

@@ -105,7 +105,7 @@ class IsolatedAgent:
     def _start(self, files: AgentFiles, adapter: str | None, resources: ExitStack) -> None:
         request = self._request
         place = files.place(resources)
-        enclosure = enclose(self._limits.sandbox, files, place, adapter, resources)
+        enclosure = enclose(self._limits.sandbox, place, adapter, resources)
         self._is_enclosed = enclosure.confinement is not None
         self._spawn(enclosure, resources)
         self._output = OutputTail(self._process.stdout, request.output_label)

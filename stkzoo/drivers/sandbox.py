@@ -22,15 +22,7 @@ from pathlib import Path
 from stkzoo._imports import python_executable, search_path
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers import confinement
-from stkzoo.drivers.files import (
-    ACTOR_MODULE,
-    INSTALLED,
-    AgentFiles,
-    AgentPlace,
-    installed_module,
-    is_zip,
-    unpacked_folder,
-)
+from stkzoo.drivers.files import INSTALLED, AgentPlace
 from stkzoo.errors import ConfigError
 
 #: Choices of whether agents run in a sandbox; see :func:`sandbox_kind`.
@@ -79,17 +71,14 @@ class Enclosure:
     confinement: confinement.Confinement | None = None
 
 
-def enclose(
-    mode: str, files: AgentFiles, place: AgentPlace, adapter: str | None, resources: ExitStack
-) -> Enclosure:
+def enclose(mode: str, place: AgentPlace, adapter: str | None, resources: ExitStack) -> Enclosure:
     """Returns the sandbox of an agent.
 
     The agent can read its own files. With an adapter, it can also change them.
 
     Args:
         mode: one of :data:`MODES`.
-        files: the agent's files.
-        place: how the agent is imported.
+        place: how the agent is imported, and where its files are.
         adapter: path of the adapter; ``None`` for none.
         resources: closing it removes the agent's folder for temporary files.
 
@@ -99,9 +88,8 @@ def enclose(
     sandbox = sandbox_kind(mode)
     if sandbox == NONE:
         return Enclosure()
-    agent_paths = _agent_paths(files, place)
-    paths = [*_SYSTEM, *_python_paths(), *agent_paths, *([adapter] if adapter else [])]
-    changed = agent_paths if adapter else []  # an adapter's prepare_module_dir may change them
+    paths = [*_SYSTEM, *_python_paths(), *place.paths, *([adapter] if adapter else [])]
+    changed = place.paths if adapter else ()  # an adapter's prepare_module_dir may change them
     if sandbox == BUBBLEWRAP:
         home = "/tmp"  # noqa: S108 - inside the sandbox
         command = _bubblewrap_command(paths, changed)
@@ -235,21 +223,6 @@ def _bubblewrap_command(paths: Sequence[str], writable: Sequence[str] = ()) -> l
     for place in ("/proc", "/dev/pts", "/dev", "/"):  # root could change kernel settings in /proc
         command += ["--remount-ro", place]
     return [*command, "--"]
-
-
-def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
-    if files.path is None:
-        top = files.source.partition(".")[0]
-        spec = installed_module(top)
-        folders = [*(spec.submodule_search_locations or [spec.origin or ""])] if spec else []
-        return [
-            os.path.abspath(path) for path in (*folders, top, f"{top}.py") if os.path.exists(path)
-        ]
-    if is_zip(files.path) and files.path.is_file():
-        return [str(unpacked_folder(place))]
-    if files.path.name == f"{ACTOR_MODULE}.py":
-        return [str(files.path.parent)]
-    return [str(files.path)]
 
 
 def _python_paths() -> Iterator[str]:

@@ -27,8 +27,8 @@ BOTH = [
 def readable(source):
     """Returns the paths that the sandbox of an agent contains."""
     with ExitStack() as life:
-        files = find_files(str(source))
-        enclosure = sandbox.enclose("auto", files, files.place(life), None, life)
+        place = find_files(str(source)).place(life)
+        enclosure = sandbox.enclose("auto", place, None, life)
     command = enclosure.command
     mounted = [command[i + 1] for i, word in enumerate(command) if word.endswith(("bind", "-try"))]
     return [*mounted, *enclosure.confinement.readable]

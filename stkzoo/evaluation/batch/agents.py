@@ -20,7 +20,7 @@ from stkzoo.drivers.files import (
     ACTOR_MODULE,
     MAX_BYTES,
     find_files,
-    installed_module,
+    module_paths,
     name_of_files,
 )
 from stkzoo.drivers.sandbox import say_what_is_missing
@@ -228,11 +228,7 @@ def _home(source: str) -> Path | None:
     files = find_files(source)
     if files is None or files.path is not None:
         return files.path if files else None
-    top = source.partition(".")[0]
-    spec = installed_module(top)
-    places = spec and (spec.submodule_search_locations or [spec.origin or ""])
-    paths = (Path(place) for place in (*(places or ()), top, f"{top}.py") if place)
-    return next((place.resolve() for place in paths if place.exists()), None)
+    return next((Path(path).resolve() for path in module_paths(source)), None)
 
 
 def _files(home: Path) -> Iterator[Path]:
