@@ -140,23 +140,13 @@ def _module_file(place: AgentPlace) -> Path:
     """
     for name in place.modules:
         top, *rest = name.split(".")
-        for home in _homes(top, place):
-            module = home.joinpath(*rest)
+        home = place.package or (place.first and os.path.join(place.first, top))
+        homes = [home] if home else [path.removesuffix(".py") for path in place.paths]
+        for module in (Path(home, *rest) for home in homes):
             for file in (module / "__init__.py", module.with_name(f"{module.name}.py")):
                 if file.is_file():
                     return file
     raise FileNotFoundError(place.modules)
-
-
-def _homes(top: str, place: AgentPlace) -> list[Path]:
-    """Returns candidate folders of a package, or files of a module without their suffix."""
-    if place.package:
-        return [Path(place.package)]
-    first, last = ([Path(folder) / top] if folder else [] for folder in (place.first, place.last))
-    spec = installed_module(top)
-    folders = list(spec.submodule_search_locations or []) if spec else []
-    alone = [Path(spec.origin).with_suffix("")] if spec and spec.origin and not folders else []
-    return [*first, *map(Path, folders), *alone, *last]
 
 
 def installed_module(top: str) -> ModuleSpec | None:
@@ -281,9 +271,7 @@ def _is_library(name: str) -> bool:
     """Returns whether a top-level module comes with Python or stkzoo, or is installed."""
     if name in sys.stdlib_module_names or name in _PROVIDED:
         return True
-    spec = installed_module(name)
-    places = [*(spec.submodule_search_locations or ()), spec.origin or ""] if spec else []
-    return any(INSTALLED & {*Path(place).parts} for place in places)
+    return any(INSTALLED & {*Path(path).parts} for path in module_paths(name))
 
 
 def _only_folder(folder: Path) -> Path:
