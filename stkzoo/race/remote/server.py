@@ -89,7 +89,6 @@ class RaceServer(AbstractContextManager["RaceServer"]):
         address = sockets.full_address(address)
         keys.check(address, insecure)
         self._sessions: dict[bytes, AgentSession] = {}  # by the identity of the connection
-        self._identities: dict[int, bytes] = {}  # by the descriptor of the connection
         self._threads: set[AgentSession] = set()  # including those that are ending
         self._stop = threading.Event()
         self._context = self._zmq.Context()
@@ -156,9 +155,9 @@ class RaceServer(AbstractContextManager["RaceServer"]):
         self._end_lost_sessions()  # before a new connection has the same descriptor
         sender, *parts = self._socket.recv_multipart(copy=False)
         identity, descriptor = sender.bytes, sender.get(self._zmq.SRCFD)
-        if descriptor not in self._connections.descriptors:
+        if descriptor not in self._connections.identities:
             return
-        self._identities[descriptor] = identity
+        self._connections.identities[descriptor] = identity
         try:
             self._handle(identity, protocol.read_request([part.bytes for part in parts]))
         except ProtocolError as error:
@@ -230,8 +229,8 @@ class RaceServer(AbstractContextManager["RaceServer"]):
             logger.info("client disconnected; %d of %d", len(clients), self._max_clients)
 
     def _end_lost_sessions(self) -> None:
-        for descriptor in self._connections.update():
-            self._end(self._identities.pop(descriptor, b""))
+        for identity in self._connections.update():
+            self._end(identity)
 
     def _end_silent_sessions(self) -> None:
         for identity, session in list(self._sessions.items()):

@@ -213,36 +213,37 @@ class Connections:
         router: the server's socket, which listens already.
 
     Attributes:
-        descriptors: file descriptors of the connections.
+        identities: identity of each connection by its file descriptor; empty before its first
+            message.
         socket: socket with ZeroMQ's events. Call :meth:`update` when it is readable.
     """
 
     def __init__(self, router: zmq.Socket[Any]) -> None:
         self._zmq, self._router = zmq_module(), router
         self._most = max(_LEAST, min(_MOST, max_descriptors() // _SHARE))
-        self.descriptors: set[int] = set()
+        self.identities: dict[int, bytes] = {}
         self.socket: zmq.Socket[Any] = router.get_monitor_socket(
             self._zmq.EVENT_ACCEPTED | self._zmq.EVENT_DISCONNECTED
         )
 
-    def update(self) -> set[int]:
+    def update(self) -> list[bytes]:
         """Reads all changes, and refuses connections above the limit.
 
         Returns:
-            The descriptors of connections that have ended, which new connections may have again.
+            The identities of connections that have ended. New connections may have their
+                descriptors again.
         """
         from zmq.utils.monitor import recv_monitor_message
 
-        ended = set()
+        ended = []
         while self.socket.EVENTS & self._zmq.POLLIN:
             message = recv_monitor_message(self.socket)
             descriptor = message["value"]
             if message["event"] == self._zmq.EVENT_DISCONNECTED:
-                self.descriptors.discard(descriptor)
-                ended.add(descriptor)
+                ended.append(self.identities.pop(descriptor, b""))
                 continue
-            self.descriptors.add(descriptor)
-            if len(self.descriptors) > self._most:
+            self.identities[descriptor] = b""
+            if len(self.identities) > self._most:
                 self._shut(descriptor)
                 logger.warning("too many connections; further ones are refused until others end")
         return ended
