@@ -13,15 +13,8 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, run_race
-from stkzoo.race.replay import (
-    _MAX_MEMBER,
-    DIGEST_SIZE,
-    ReplayError,
-    ReplayWriter,
-    _controls,
-    load_replay,
-    play_replay,
-)
+from stkzoo.race import replay as replay_module
+from stkzoo.race.replay import DIGEST_SIZE, ReplayError, ReplayWriter, load_replay, play_replay
 from tests.support.paths import AGENTS
 
 
@@ -254,7 +247,7 @@ def test_a_replay_that_unpacks_beyond_its_limits_is_refused(small):
 
 
 def test_each_member_of_a_replay_has_a_size_limit(small, monkeypatch):
-    monkeypatch.setitem(_MAX_MEMBER, "race.json", 20)
+    monkeypatch.setitem(replay_module._MAX_MEMBER, "race.json", 20)
     with pytest.raises(ReplayError, match=r"race\.json has more than"):
         load_replay(small)
 
@@ -274,7 +267,7 @@ def test_checking_the_controls_of_a_long_replay_takes_little_memory():
     data = bytes(28 * 400_000)
     tracemalloc.start()
     try:
-        assert len(_controls(data, 1)) == 400_000
+        assert len(replay_module._controls(data, 1)) == 400_000
         assert tracemalloc.get_traced_memory()[1] < 4 << 20
     finally:
         tracemalloc.stop()
