@@ -8,8 +8,7 @@ from stkzoo.agents.training.common.arguments import track_names
 from stkzoo.agents.training.imitation.distill import DistillationArguments
 from stkzoo.agents.training.league.league import LeagueArguments
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
-from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD
-from stkzoo.agents.training.sb3.selfplay import SB3Arguments
+from stkzoo.agents.training.sb3.selfplay import SB3Arguments, selfplay_setup
 from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_ONLY_TRACKS, VALIDATION_TRACKS
 
@@ -21,15 +20,6 @@ def test_names_of_splits_are_replaced_with_their_tracks():
 @pytest.mark.parametrize("kind", [DistillationArguments, LeagueArguments, SelfPlayArguments])
 def test_training_excludes_the_validation_tracks(kind):
     assert kind(tracks=("train_only",)).tracks == TRAIN_ONLY_TRACKS
-
-
-def test_a_curriculum_over_a_split_is_sorted_from_easy_to_hard():
-    tracks = SB3Arguments(tracks=("train_only",)).tracks
-    assert tracks == tuple(t for t in EASY_TO_HARD if t not in VALIDATION_TRACKS)
-
-
-def test_a_curriculum_keeps_the_given_order_of_tracks():
-    assert SB3Arguments(tracks=("minigolf", "lighthouse")).tracks == ("minigolf", "lighthouse")
 
 
 @pytest.mark.parametrize("kind", [DistillationArguments, SB3Arguments, SelfPlayArguments])
@@ -46,7 +36,6 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
         (SelfPlayArguments, {"kl_coef": -0.1}, "kl_coef is -0.1, .* of 0 or more"),
         (SelfPlayArguments, {"seed": 2**32}, "seed is 4294967296, .* from 0 to 4294967295"),
         (SelfPlayArguments, {"hidden": (8, 8, 8)}, r"hidden is \(8, 8, 8\), expected 2 layers"),
-        (SB3Arguments, {"n_steps": 1, "races": "1"}, "expected 2 or more steps"),
     ],
 )
 def test_numbers_out_of_bounds_are_refused(kind, given, text):
@@ -56,3 +45,8 @@ def test_numbers_out_of_bounds_are_refused(kind, given, text):
 
 def test_coefficients_may_be_zero():
     assert SelfPlayArguments(kl_coef=0.0, ent_coef=0.0).kl_coef == 0
+
+
+def test_a_single_step_is_too_few_to_learn_from():
+    with pytest.raises(ConfigError, match="expected 2 or more steps"):
+        selfplay_setup(SB3Arguments(n_steps=1, races="1"))

@@ -1,4 +1,4 @@
-"""Self-play with Stable-Baselines3: rivals, curriculum, races and resuming after a kill."""
+"""Self-play with Stable-Baselines3: rivals, races and resuming after a kill."""
 
 import json
 import os
@@ -6,41 +6,38 @@ import subprocess
 import sys
 from contextlib import closing
 
-import msgspec
 import numpy as np
 import pytest
 from stable_baselines3 import PPO
+from torch.nn.utils import parameters_to_vector
 
 from stkzoo import Start
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.arguments import Lineup, parse_races
-from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.network import RacingNetwork, racing_weights
 from stkzoo.agents.training.ppo.opponents import Matchmaker
-from stkzoo.agents.training.sb3 import races as sb3_races
-from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
-from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
+from stkzoo.agents.training.ppo.rollouts import ActorRaces
 from stkzoo.agents.training.sb3.selfplay import (
     SB3Arguments,
     SB3Run,
-    arrays_of,
-    initial_state,
+    SelfPlayRaces,
     main,
+    selfplay_setup,
 )
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
-from stkzoo.tracks import TRAIN_TRACKS
-from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE
+from stkzoo.wrappers.racing import BRAKE, CHOICES, CONTEST_SIZE, PLACES, RESCUE, SIZE
 from tests.support.training import last_policy, log_of, run_and_kill, words_of
 
 SMALL = {
     "races": "2+1x1",
     "tracks": ("lighthouse",),
-    "updates": 2,
+    "checkpoint_every": 2,
     "n_steps": 16,
     "batch_size": 32,
     "n_epochs": 2,
@@ -59,6 +56,11 @@ def learn(folder, until, **changes):
     return main(words(folder, until, **changes))
 
 
+def arrays_of(policy):
+    """Returns the state dict of a policy as arrays."""
+    return {name: value.numpy() for name, value in policy.state_dict().items()}
+
+
 @pytest.fixture(scope="module")
 def policy():
     """Returns an untrained policy."""
@@ -68,7 +70,7 @@ def policy():
     return model.policy
 
 
-# ---------------------------------------------------------------------- rivals and curriculum
+# ---------------------------------------------------------------------- rivals
 
 
 def test_a_full_pool_drops_the_most_beaten_rival():
@@ -82,28 +84,6 @@ def test_a_full_pool_drops_the_most_beaten_rival():
     matchmaker.update("second", 1.0)  # the result of a race that was still running
 
 
-def test_stages_open_tracks_then_directions():
-    curriculum = Curriculum(("one", "two"), pass_at=0.5, window=2)
-    assert curriculum.open_tracks == ("one",)
-    assert curriculum.difficulties == (0, 1)
-    assert not curriculum.update(0.9)
-    assert curriculum.update(0.2)  # 0.55 on average
-    assert curriculum.open_tracks == ("one", "two")
-    assert not curriculum.update(0.9)
-    assert not curriculum.is_reversible
-    again = Curriculum(("one", "two"), pass_at=0.5, window=2)
-    again.restore(msgspec.convert(curriculum.state(), CurriculumState))
-    assert again.update(0.9)
-    assert again.is_reversible
-    drawn = {again.draw(np.random.default_rng(seed)) for seed in range(40)}
-    assert drawn == {(track, way) for track in ("one", "two") for way in (False, True)}
-    assert not [again.update(1.0) for _ in range(9)].count(True)  # no stages are left
-
-
-def test_all_training_tracks_are_in_the_curriculum():
-    assert sorted(EASY_TO_HARD) == sorted(TRAIN_TRACKS)
-
-
 # ---------------------------------------------------------------------- races
 
 
@@ -114,64 +94,53 @@ def test_groups_of_races_are_parsed():
             parse_races([text])
 
 
+def races_of(arguments, matchmaker, folder, **changes):
+    """Returns races with changed options."""
+    (group,) = selfplay_setup(arguments).groups
+    group = ActorRaces(group.num_races, group.options | changes)
+    return closing(SelfPlayRaces(group, 11, matchmaker, folder))
+
+
 @pytest.mark.slow
-def test_past_selves_add_no_training_data(monkeypatch, tmp_path, policy):
-    monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
-    save_driver(tmp_path / "past.safetensors", arrays_of(policy))
+def test_past_selves_add_no_training_data(tmp_path, policy):
+    save_weights(tmp_path / "past.safetensors", arrays_of(policy))
     matchmaker = Matchmaker("prioritized", share=1.0)
     matchmaker.add("past")
-    races, curriculum = Lineup(4, 1, 2), Curriculum(["olivermath"])
-    with closing(SelfPlayVecEnv(races, curriculum, matchmaker, tmp_path, grid_share=0.0)) as envs:
+    arguments = SB3Arguments(races="4+1x2", tracks=("olivermath",), max_cycles=12)
+    with races_of(arguments, matchmaker, tmp_path) as envs:
         envs.seed(5)
         envs.reset()
         for step in range(12):
             _, rewards, dones, infos = envs.step(np.zeros((8, 5), int))
-            is_rival = np.array([not info for info in infos])
+            is_rival = dones & np.array([not info for info in infos])
             assert is_rival.reshape(2, 4).sum(axis=1).tolist() == [2, 2]
-            assert dones[is_rival].all()
             assert not rewards[is_rival].any()
             assert dones[~is_rival].all() == (step == 11)
-        assert envs.kart_steps == 4 * 12
-        assert [kart["finished"] for kart in envs.recent] == [False] * 4
-        assert {1, 2, 3, 4, 5} >= {kart["position"] for kart in envs.recent}
+        assert [len(rewards) for rewards in envs.rewards] == [4] * 12
+        assert [kart.ratio for kart in envs.finishes] == [None] * 4
+        assert {1, 2, 3, 4, 5} >= {kart.position for kart in envs.finishes}
         assert matchmaker.pool["past"].races == 2
         assert {*matchmaker.reported} <= {0.0, 0.25, 0.5, 0.75, 1.0}
 
 
-def test_later_races_of_a_round_copy_its_starts(monkeypatch, tmp_path):
-    monkeypatch.setattr(sb3_races, "SHORT_RACE", 2)
-    races, curriculum = Lineup(2, 0), Curriculum(["olivermath", "lighthouse"], stage=2)
-    options = {"grid_share": 0.0, "num_starts": 2}
-    with closing(SelfPlayVecEnv(races, curriculum, Matchmaker(), tmp_path, **options)) as envs:
-        envs.seed(3)
-        starts = [envs.reset()]
-        for step in range(18):
-            observations = envs.step(np.zeros((2, 5), int))[0]
-            if step % 2:
-                starts.append(observations)
-        assert len(np.unique(starts, axis=0)) == 2
-        assert not (envs.reset() == starts[0]).all()
-
-
 @pytest.mark.slow
-def test_a_finish_is_a_truncation_for_the_learner(monkeypatch, tmp_path):
+def test_a_finish_is_a_truncation_for_the_learner(tmp_path):
     """The learner also gets the final observation and all rewards."""
+    arguments = SB3Arguments(races="1x1", tracks=("lighthouse",), num_starts=0)
     near_finish = Start(share=0.97, speed=15.0)
-    monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
-    races, curriculum = Lineup(1, 0), Curriculum(["lighthouse"])
-    with closing(SelfPlayVecEnv(races, curriculum, Matchmaker(), tmp_path, grid_share=0.0)) as envs:
+    with races_of(arguments, Matchmaker(), tmp_path, start=near_finish, reverse=False) as envs:
         envs.seed(1)
         envs.reset()
         total = 0.0
-        while not envs.recent:
+        while not envs.finishes:
             _, rewards, dones, infos = envs.step(np.array([[10, 0, 0, 0, 0]]))
             total += float(rewards[0])
-        assert envs.figures()["finished"] == 1
-        assert envs.figures()["pace"] > 0.5
+        assert 0 < envs.finishes[0].ratio < 2
         assert dones[0]
         assert infos[0]["TimeLimit.truncated"]
         assert infos[0]["terminal_observation"][0:3].any()  # its velocity
-        assert envs.rewarded == pytest.approx(total)
+        assert np.sum(envs.rewards) == pytest.approx(total)
+        assert np.mean(envs.paces) == pytest.approx(1 / envs.finishes[0].ratio, rel=0.01)
 
 
 # ---------------------------------------------------------------------- policies
@@ -250,19 +219,17 @@ def test_a_stuck_kart_is_freed_but_not_on_the_grid():
 
 
 def test_an_error_for_a_run_of_an_older_version_says_what_to_do(tmp_path):
-    SB3Run(tmp_path, SB3Arguments(**SMALL)).close()
-    file = tmp_path / "arguments.json"
-    arguments = json.loads(file.read_text())
-    arguments["minibatch"] = arguments.pop("batch_size")
-    file.write_text(json.dumps(arguments))
+    with closing(SB3Run(tmp_path, SB3Arguments(**SMALL))) as run:
+        arguments = run._history[0]["arguments"]
+        arguments["minibatch"] = arguments.pop("batch_size")
+        run.save_checkpoint()
     with pytest.raises(ConfigError, match=r"another version of stkzoo.*give another --output"):
         SB3Run(tmp_path, SB3Arguments(**SMALL))
 
 
 def test_a_driver_acts_like_its_policy(policy):
-    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     seen = np.random.default_rng(0).normal(size=(64, SIZE)).astype(np.float32)
-    driver = MlpDriver(weights)
+    driver = MlpDriver(arrays_of(policy))
     assert (driver.best(seen) == policy.predict(seen, deterministic=True)[0]).all()
     drawn = driver.sample(np.repeat(seen[:1], 4000, axis=0), np.random.default_rng(1))
     chances = policy.get_distribution(policy.obs_to_tensor(seen[:1])[0]).distribution
@@ -271,23 +238,27 @@ def test_a_driver_acts_like_its_policy(policy):
         assert shares == pytest.approx(chance.probs[0].detach().numpy(), abs=0.05)
 
 
-def test_initial_weights_can_lack_the_value_network(tmp_path, policy):
-    save_driver(tmp_path / "whole", arrays_of(policy))
-    weights = load_weights(tmp_path / "whole")
-    own = {name: array + 1 for name, array in weights.items() if "value" not in name}
-    started = initial_state(own, policy)
-    assert {*started} == {*policy.state_dict()}
-    for name, array in started.items():
-        assert (array.numpy() == own.get(name, weights[name])).all()
+def test_initial_weights_can_lack_the_memory_of_the_filter(tmp_path):
+    narrow = RacingNetwork((16, 16), seed=0).policy_weights()
+    save_weights(tmp_path / "narrow", narrow)
+    started = RacingNetwork((16, 16), seed=1, inputs=INPUT_SIZE)
+    started.start_from(racing_weights(str(tmp_path / "narrow"), (16, 16)))
+    seen = np.random.default_rng(0).normal(size=(64, INPUT_SIZE)).astype(np.float32)
+    logits = MlpDriver(narrow).logits(seen[:, : INPUT_SIZE - MEMORY_SIZE])
+    assert MlpDriver(started.policy_weights()).logits(seen) == pytest.approx(logits, abs=1e-5)
 
 
 def test_incompatible_weights_are_refused(tmp_path):
     save_weights(tmp_path / "other", {"w0": np.zeros((3, 4), np.float32)})
     with pytest.raises(ConfigError, match="MlpPolicy from the 165 numbers"):
         racing_weights(str(tmp_path / "other"), (16, 16))
-    save_driver(tmp_path / "narrow", RacingNetwork((8, 8), seed=0).policy_weights())
+    save_weights(tmp_path / "narrow", RacingNetwork((8, 8), seed=0).policy_weights())
     with pytest.raises(ConfigError, match="--hidden"):
         racing_weights(str(tmp_path / "narrow"), (16, 16))
+    contest = RacingNetwork((16, 16), seed=0, inputs=CONTEST_SIZE).policy_weights()
+    save_weights(tmp_path / "contest", contest)
+    with pytest.raises(ConfigError, match="for the view 'contest'"):
+        racing_weights(str(tmp_path / "contest"), (16, 16))
 
 
 # ---------------------------------------------------------------------- runs
@@ -295,11 +266,12 @@ def test_incompatible_weights_are_refused(tmp_path):
 
 @pytest.mark.slow
 def test_values_are_learned_before_the_policy(tmp_path):
-    assert learn(tmp_path, 40, warm_up=1_000_000, keep_every=10) == 0
-    first = load_weights(tmp_path / "policy-000000000.safetensors")
-    for name, array in last_policy(tmp_path).items():
-        is_value = name.startswith(("value_net", "mlp_extractor.value_net"))
-        assert (array == first[name]).all() != is_value, name
+    with closing(SB3Run(tmp_path, SB3Arguments(**SMALL, warm_up=1_000_000))) as run:
+        parts = run.network.policy, run.network.value
+        first = [parameters_to_vector(part.parameters()).clone() for part in parts]
+        run.iterate()
+        last = [parameters_to_vector(part.parameters()) for part in parts]
+    assert [bool((new == old).all()) for new, old in zip(last, first, strict=True)] == [True, False]
 
 
 @pytest.mark.slow
@@ -317,7 +289,7 @@ def test_it_learns_and_ends(tmp_path):
     seen = np.array([0, *(line["kart_steps"] for line in log[:-1])])
     rates = [line["learning_rate"] for line in log]
     assert np.allclose(rates, SB3Arguments().learning_rate / np.sqrt(1 + seen / 100), atol=1e-6)
-    first = load_weights(tmp_path / "policy-000000000.safetensors")
+    first = load_weights(min(tmp_path.glob("policy-*.safetensors")))
     assert any((last_policy(tmp_path)[name] != first[name]).any() for name in first)
     assert list(tmp_path.glob("events.out.tfevents.*"))
     assert (tmp_path / "agent" / "pystk_actor.py").exists()
@@ -338,29 +310,25 @@ def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
 
 
 @pytest.mark.matrix
-def test_a_run_continues_after_races_without_rivals(tmp_path, monkeypatch):
-    monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
-    alone = {"races": "2x1", "grid_share": 0.0, "snapshot_share": 0.0}
+def test_a_run_continues_after_races_without_rivals(tmp_path):
+    alone = {"races": "2x1", "max_cycles": 12, "snapshot_share": 0.0}
     assert learn(tmp_path, 60, **alone) == 0
-    assert "pace" in log_of(tmp_path)[-1]  # some races have ended
+    assert "position" in log_of(tmp_path)[-1]  # some races have ended
     assert learn(tmp_path, 120, **alone) == 0
     assert log_of(tmp_path)[-1]["kart_steps"] >= 120
 
 
 def test_a_run_starts_from_given_weights(tmp_path):
-    SB3Run(tmp_path / "one", SB3Arguments(**SMALL)).close()
-    file = tmp_path / "one" / "policy-000000000.safetensors"
-    started = SB3Run(tmp_path / "two", SB3Arguments(**SMALL, seed=7, init=str(file)))
-    started.close()
-    ours, theirs = last_policy(tmp_path / "two"), load_weights(file)
+    with closing(SB3Run(tmp_path / "one", SB3Arguments(**SMALL))) as run:
+        file = run.save_policy()
+    with closing(SB3Run(tmp_path / "two", SB3Arguments(**SMALL, seed=7, init=str(file)))) as run:
+        ours, theirs = run.network.policy_weights(), load_weights(file)
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
 def test_the_newest_policy_of_a_run_is_the_one_with_which_it_ended(tmp_path):
-    with closing(SB3Run(tmp_path, SB3Arguments(**SMALL))) as run:
-        run.kart_steps = 7
-        run.save_agent()
-    file = tmp_path / "policy-000000007.safetensors"
+    assert learn(tmp_path, 1) == 0
+    file = max(tmp_path.glob("policy-*.safetensors"))
     assert newest_policy(str(tmp_path)) == str(file)
     newest, last = load_weights(file), load_weights(tmp_path / "policy.safetensors")
     assert all((newest[name] == last[name]).all() for name in last)

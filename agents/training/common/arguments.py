@@ -124,7 +124,22 @@ class PPOArguments(NetworkArguments):
 
 
 @dataclass(frozen=True, slots=True)
-class RolloutArguments(PPOArguments):
+class LearnerArguments(PPOArguments):
+    """Arguments of every script that trains one policy in this program.
+
+    Attributes:
+        n_steps: steps of each race between two updates.
+        keep_every: kart-steps between two saved policies.
+        checkpoint_every: iterations between two checkpoints.
+    """
+
+    n_steps: int = 128
+    keep_every: int = 500_000
+    checkpoint_every: int = 20
+
+
+@dataclass(frozen=True, slots=True)
+class RolloutArguments(LearnerArguments):
     """Arguments of every script whose actors keep driving while it learns.
 
     Attributes:
@@ -132,24 +147,18 @@ class RolloutArguments(PPOArguments):
             Results depend on their number.
         on_policy: drive each rollout with the latest networks. By default, the actors drive the
             next rollout during an update, with the networks before it.
-        n_steps: steps of each race between two updates.
         anneal_timesteps: kart-steps over which learning rate and entropy coefficient decay.
         target_kl: KL divergence at which an update stops early.
         warm_up: iterations at the start that train only the value network.
-        keep_every: kart-steps between two saved policies.
-        checkpoint_every: iterations between two checkpoints.
     """
 
     batch_size: BatchSize = 4096
     n_epochs: int = 3
     actors: Natural = 0
     on_policy: bool = False
-    n_steps: int = 128
     anneal_timesteps: int = 20_000_000
     target_kl: float = 0.02
     warm_up: Natural = 10
-    keep_every: int = 500_000
-    checkpoint_every: int = 20
 
 
 #: Number of learners, of karts of the game's AI, and of races; see :func:`parse_races`.

@@ -31,7 +31,7 @@ class FilteredView:
 
     def observe(self, seen: FloatArray, *, advances: bool = True) -> FloatArray:
         """Returns the inputs of a policy, ``(karts, F + 12)``."""
-        views = np.where(self._is_mirrored[:, None], seen * CONTEST_MIRROR, seen)
+        views = np.where(self._is_mirrored[:, None], seen * CONTEST_MIRROR[: seen.shape[1]], seen)
         return (self._filter.look if advances else self._filter.see)(views)
 
     def drive(self, choices: IntArray) -> IntArray:

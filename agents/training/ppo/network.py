@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
+from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.driver import WEIGHTS
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, check_shapes
@@ -31,6 +32,8 @@ _RETURNS_RATE = 0.05
 _MAX_GRADIENT = 0.5
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
 _LEAST_SCALE = np.float32(0.2)
+#: Name of the weights of a policy's first layer in files.
+_FIRST_LAYER = "mlp_extractor.policy_net.0.weight"
 #: Parts of a network with a PyTorch state.
 _PARTS = ("policy", "value", "optimizer")
 #: Initial biases by index of the logit, on the view ``racing``: prefer going to braking, and rarely
@@ -322,7 +325,9 @@ def _make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: f
 
 
 def racing_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
-    """Returns the weights of a policy on the view ``racing``.
+    """Returns the weights of a policy on the view ``racing`` and the memory of the action filter.
+
+    If its layers take only the view as input, the memory initially has no effect.
 
     Args:
         init: file of the policy, or folder of an agent.
@@ -333,14 +338,15 @@ def racing_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
     """
     file = Path(init) / WEIGHTS if Path(init).is_dir() else Path(init)
     weights = load_weights(file)
-    layers = MlpDriver(weights, f"the weights {str(file)!r}").hidden
-    if layers != tuple(hidden):
+    driver = MlpDriver(weights, f"the weights {str(file)!r}")
+    if (driver.view, driver.hidden) != ("racing", tuple(hidden)):
         raise ConfigError(
-            f"the weights {str(file)!r} have hidden layers of {layers} units, expected "
-            f"{tuple(hidden)}; give the --hidden that they were made with, or weights of a "
-            "reference algorithm (stkzoo suite train)"
+            f"the weights {str(file)!r} are for the view {driver.view!r} and have hidden layers of "
+            f"{driver.hidden} units, expected 'racing' and {tuple(hidden)}; give the --hidden that "
+            "they were made with, or other weights"
         )
-    return weights
+    more = SIZE + MEMORY_SIZE - driver.inputs
+    return weights | {_FIRST_LAYER: np.pad(weights[_FIRST_LAYER], ((0, 0), (0, more)))}
 
 
 def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:

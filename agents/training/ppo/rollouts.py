@@ -34,7 +34,7 @@ BoolArray = npt.NDArray[np.bool_]
 #: Columns of the views ``racing`` and ``contest`` with the kart's own state, and of its rank.
 _OWN, _RANK = slice(0, PLACES["line_position"].start), SIZE
 #: Share of the karts that observe and act with left and right swapped, with plans or a filter.
-_MIRROR_SHARE = 0.5
+MIRROR_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,12 +325,12 @@ class GroupActor:
             self.envs: Any = races
             if arguments.hold is not None:
                 view = FilteredView(races.num_envs, arguments.hold)
-                self.envs = MirroredRaces(races, view, _MIRROR_SHARE)
+                self.envs = MirroredRaces(races, view, MIRROR_SHARE)
         else:
             self.envs = PlanVectorEnv(
                 group.num_races,
                 parameters=arguments.plans,
-                mirror_share=_MIRROR_SHARE,
+                mirror_share=MIRROR_SHARE,
                 **group.options,
             )
         self._inner: RaceVectorEnv = self.envs.unwrapped

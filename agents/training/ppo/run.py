@@ -1,12 +1,14 @@
-"""A run of PPO whose actors keep driving while it learns: iterations, log, checkpoints, policies.
+"""Runs of PPO: iterations, log, checkpoints, policies.
 
-Processes drive races and fill rollouts in shared memory (:mod:`.rollouts`). They drive the next
-rollout during an update (:mod:`.update`), with the networks from before the update.
+In a :class:`PPORun`, processes drive races and fill rollouts in shared memory (:mod:`.rollouts`).
+They drive the next rollout during an update (:mod:`.update`), with the networks from before the
+update.
 """
 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -24,7 +26,7 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.weights import save_weights
 
 from ..common.actors import ActorPool, SharedArray
-from ..common.arguments import RolloutArguments
+from ..common.arguments import LearnerArguments, RolloutArguments
 from ..common.command import ProgressBar
 from ..common.matches import UNFINISHED
 from ..common.run_folder import (
@@ -91,8 +93,8 @@ class PPOFacts:
     duels: DuelResults
 
 
-class PPORun:
-    """A run: its races, networks and files.
+class TrainingRun(ABC):
+    """A run that learns in iterations: its networks, results and files.
 
     Args:
         folder: folder of the run.
@@ -106,13 +108,14 @@ class PPORun:
         matchmaker: determines the opponents.
         kart_steps: number of kart-steps so far.
         iteration: number of iterations so far.
+        recent: the latest races of learners.
 
     Raises:
         ConfigError: the folder cannot be created, another program uses it, or it contains a run
             with other arguments; or an argument is invalid.
     """
 
-    def __init__(self, folder: str | Path, arguments: RolloutArguments, setup: PPOSetup) -> None:
+    def __init__(self, folder: str | Path, arguments: LearnerArguments, setup: PPOSetup) -> None:
         self.folder, self.arguments, self._setup = Path(folder), arguments, setup
         self.matchmaker = setup.matchmaker
         with ExitStack() as resources:
@@ -130,57 +133,17 @@ class PPORun:
             elif setup.read_first is not None:
                 self.network.start_from(setup.read_first())
             write_json(self.folder / ARGUMENTS, self._history)
-            self._start_actors()
-            resources.callback(self._actors.close)
+            resources.callback(self._make_races())
             self.begin_races()
             self._resources = resources.pop_all()
 
+    @abstractmethod
     def begin_races(self) -> None:
         """Starts new races; later random numbers derive from seed and iteration."""
-        seed = self.arguments.seed
-        self._random = np.random.default_rng([seed, self.iteration])
-        if self._actors.is_busy:
-            self._actors.receive()  # a rollout of the races before
-        seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
-        self._actors.call("begin", seeds)
 
+    @abstractmethod
     def iterate(self) -> dict[str, float]:
         """Updates the networks with a rollout; returns the log entry."""
-        begin = time.perf_counter()
-        if not self._actors.is_busy:
-            self._drive(self.iteration)
-        driven: list[RolloutResult] = self._actors.receive()
-        rollouts = [memory[self.iteration % 2] for memory in self._rollouts]
-        is_changed = self.iteration == 0 and self.network.prepare(
-            np.concatenate([rollout[rollout["active"]] for rollout in rollouts])
-        )
-        for duel in (duel for result in driven for duel in result.duels):
-            self.matchmaker.update(*duel)
-        if not (is_changed or self.is_checkpoint(self.iteration + 1) or self.arguments.on_policy):
-            self._drive(self.iteration + 1)
-        waited = time.perf_counter()
-        ent_coef = anneal(self.network, self.arguments, self.kart_steps, self.iteration)
-        last_values = [result.last_values for result in driven]
-        learned = update(
-            self.network, rollouts, last_values, self.arguments, ent_coef, self._random
-        )
-        for result in driven:
-            self.recent.extend(result.finishes)
-        self.iteration += 1
-        steps = sum(result.kart_steps for result in driven)
-        self.kart_steps += steps
-        end = time.perf_counter()
-        line = {
-            "iteration": self.iteration,
-            "kart_steps": self.kart_steps,
-            **race_figures(self.recent),
-            **self.matchmaker.figures(),
-            **learned,
-            "wait_s": waited - begin,
-            "learn_s": end - waited,
-            "kart_steps_per_s": steps / (end - begin),
-        }
-        return {name: round(value, 6) for name, value in line.items()}
 
     def is_checkpoint(self, iteration: int) -> bool:
         """Returns whether a checkpoint follows an iteration; all races restart after it."""
@@ -244,9 +207,77 @@ class PPORun:
         """Ends all races, and unlocks the folder."""
         self._resources.close()
 
-    # ------------------------------------------------------------------ parts
+    @abstractmethod
+    def _make_races(self) -> Callable[[], None]:
+        """Makes what drives the races; returns the function that ends it."""
 
-    def _start_actors(self) -> None:
+    def _restore(self, facts: PPOFacts, state: Mapping[str, Any]) -> None:
+        before, now = (
+            {**part["arguments"], **part.get("rules", {})}
+            for part in (facts.history[-1], self._history[-1])
+        )
+        check_resumed(self.folder, before, now)
+        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
+        remove_later_policies(self.folder, self.kart_steps)
+        self.recent.extend(facts.recent)
+        self.matchmaker.restore(facts.duels)
+        with reading_checkpoint(self.folder):
+            self.network.restore(state["network"])
+
+
+class PPORun(TrainingRun):
+    """A run whose actors keep driving while it learns."""
+
+    arguments: RolloutArguments
+
+    def begin_races(self) -> None:
+        """See :class:`TrainingRun`."""
+        seed = self.arguments.seed
+        self._random = np.random.default_rng([seed, self.iteration])
+        if self._actors.is_busy:
+            self._actors.receive()  # a rollout of the races before
+        seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
+        self._actors.call("begin", seeds)
+
+    def iterate(self) -> dict[str, float]:
+        """See :class:`TrainingRun`."""
+        begin = time.perf_counter()
+        if not self._actors.is_busy:
+            self._drive(self.iteration)
+        driven: list[RolloutResult] = self._actors.receive()
+        rollouts = [memory[self.iteration % 2] for memory in self._rollouts]
+        is_changed = self.iteration == 0 and self.network.prepare(
+            np.concatenate([rollout[rollout["active"]] for rollout in rollouts])
+        )
+        for duel in (duel for result in driven for duel in result.duels):
+            self.matchmaker.update(*duel)
+        if not (is_changed or self.is_checkpoint(self.iteration + 1) or self.arguments.on_policy):
+            self._drive(self.iteration + 1)
+        waited = time.perf_counter()
+        ent_coef = anneal(self.network, self.arguments, self.kart_steps, self.iteration)
+        last_values = [result.last_values for result in driven]
+        learned = update(
+            self.network, rollouts, last_values, self.arguments, ent_coef, self._random
+        )
+        for result in driven:
+            self.recent.extend(result.finishes)
+        self.iteration += 1
+        steps = sum(result.kart_steps for result in driven)
+        self.kart_steps += steps
+        end = time.perf_counter()
+        line = {
+            "iteration": self.iteration,
+            "kart_steps": self.kart_steps,
+            **race_figures(self.recent),
+            **self.matchmaker.figures(),
+            **learned,
+            "wait_s": waited - begin,
+            "learn_s": end - waited,
+            "kart_steps_per_s": steps / (end - begin),
+        }
+        return {name: round(value, 6) for name, value in line.items()}
+
+    def _make_races(self) -> Callable[[], None]:
         arguments, setup = self.arguments, self._setup
         races = sum(group.num_races for group in setup.groups)
         shares = [
@@ -266,6 +297,7 @@ class PPORun:
         ]
         self._actors = self._new_actors(list(zip(shares, memories, strict=True)))
         self._rollouts = [memory.array() for memory in memories]
+        return self._actors.close
 
     def _new_actors(self, arguments: Sequence[tuple[ActorArguments, SharedArray]]) -> ActorPool:
         return ActorPool(RaceActor, arguments)
@@ -274,19 +306,6 @@ class PPORun:
         """Lets the actors drive the rollout of an iteration with the current networks."""
         call = (iteration % 2, *self.network.weights(), self.matchmaker.odds())
         self._actors.send("drive", [call] * len(self._actors))
-
-    def _restore(self, facts: PPOFacts, state: Mapping[str, Any]) -> None:
-        before, now = (
-            {**part["arguments"], **part.get("rules", {})}
-            for part in (facts.history[-1], self._history[-1])
-        )
-        check_resumed(self.folder, before, now)
-        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
-        remove_later_policies(self.folder, self.kart_steps)
-        self.recent.extend(facts.recent)
-        self.matchmaker.restore(facts.duels)
-        with reading_checkpoint(self.folder):
-            self.network.restore(state["network"])
 
 
 def race_figures(recent: Sequence[KartRace] | deque[KartRace]) -> dict[str, float]:

@@ -4,17 +4,16 @@
 
 One policy sees the view ``racing`` and drives the agents of several races. In half of the races,
 one of its past selves drives half of these karts; hard opponents are drawn more often. The game's
-AI drives the other karts. A curriculum opens more tracks, directions and difficulties as the policy
-gets faster. The reward is the distance driven plus places gained.
+AI drives the other karts. Races start anywhere on the tracks, and half of the karts, drawn for each
+race, drive mirrored left to right. The reward is the distance driven plus places gained.
 
     --init FILE     start from the weights of another run, or of imitation
     --races 4+1x5   five races of four agents and one bot
 
-To continue a run that was killed, run the same command again. Training consists of rounds. Each
-round starts with new races and its own seeds and ends with a checkpoint, so that the run continues
-bit for bit. The folder contains ``checkpoint.pt``, ``log.jsonl`` (one line per update),
-``arguments.json``, TensorBoard files, ``policy-STEPS.safetensors``, and ``agent``, which ``stkzoo
-race`` accepts:
+To continue a run, also after a kill, run the same command again, perhaps with more
+``--total-timesteps``. The run continues bit for bit, because all races restart after a checkpoint.
+The folder contains ``checkpoint.pt``, ``log.jsonl`` (one line per update), ``arguments.json``,
+TensorBoard files, ``policy-STEPS.safetensors``, and ``agent``, which ``stkzoo race`` accepts:
 
     tensorboard --logdir runs
     python -m stkzoo.agents.training.plot runs/first
@@ -27,137 +26,253 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
+from stkzoo import Reward
 from stkzoo._arguments import option
-from stkzoo._locks import locked_folder
-from stkzoo._schema import Count, Share
-from stkzoo.agents.pretrained.mlp import HOLD
+from stkzoo._schema import Level, Share
+from stkzoo.agents.planning import FloatArray
+from stkzoo.agents.planning.mirrored import MirroredRaces
+from stkzoo.agents.pretrained.action_filter import INPUT_SIZE
+from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.errors import ConfigError
+from stkzoo.mdp import rewards
 
 try:
-    from stkzoo.sb3 import ActiveRolloutBuffer
+    from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv
 except ImportError as error:
     if __name__ == "__main__":
         sys.exit(f"error: {error}")
     raise
 
-import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.utils import explained_variance
 
 from ..common.arguments import (
+    QUICK_TRACKS,
     Coefficient,
-    Lineup,
+    LearnerArguments,
     Natural,
     PPOArguments,
     ScriptOptions,
     parse_races,
 )
-from ..common.command import ProgressBar, run_command
-from ..common.run_folder import (
-    TrainingLog,
-    keep_arguments,
-    load_checkpoint,
-    policy_name,
-    reading_checkpoint,
-    save_checkpoint,
-    save_driver,
-)
+from ..common.command import run_command
+from ..common.filtered import FilteredView
+from ..common.matches import ai_time
 from ..export import export_policy
-from ..ppo.network import FIRST_BIASES, racing_weights
-from ..ppo.opponents import PRIORITIZED, DuelResults, Matchmaker
-from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
-from .races import SelfPlayVecEnv
+from ..ppo.network import RacingNetwork, racing_weights
+from ..ppo.opponents import PRIORITIZED, Matchmaker, RivalSeats, draw_opponent
+from ..ppo.rollouts import MIRROR_SHARE, ActorRaces, KartRace
+from ..ppo.run import PPOSetup, TrainingRun, race_figures
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
-_PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
+_PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"} | {"n_steps"}
+#: 0.1 per meter driven, and 0.3 per place gained.
+_REWARD = Reward(
+    {"advance": rewards.advance, "places": rewards.overtaking}, {"places": 0.3}, {"advance": 5.0}
+)
+_STEP = 0.1  # [s]
+#: Figures of the log to show.
+_SHOWN = ("pace", "finished", "position", "beaten")
 
 
 # ---------------------------------------------------------------------- arguments
 
 
 @dataclass(frozen=True, slots=True)
-class SB3Arguments(PPOArguments):
+class SB3Arguments(LearnerArguments):
     """Arguments of a run; they must not change when a run continues.
 
     Attributes:
         races: 4+1x5 is five races of four agents and one bot.
-        tracks: tracks from easy to hard, or a split, such as train_only.
-        pass_at: pace, relative to the AI's in such races, at which the next stage begins.
+        tracks: tracks or splits to train on, such as train_only; driven in both directions.
+        difficulty: skill of the game's AI and speed of all karts, 0 to 3.
+        max_cycles: steps after which a race is cut short.
+        num_starts: number of different starts between two checkpoints. Later races copy one of
+            them, which takes a tenth of the time. 0 makes a new start for each race, as is
+            necessary on other systems than Linux.
         snapshot_share: fraction of races in which a past self drives half of the agents' karts.
-        grid_share: fraction of starts on the grid; the others are anywhere on the track.
-        num_starts: number of different starts in a round; its later races copy one of them, which
-            takes a tenth of the time. 0 makes a new start for each race, as is necessary on other
-            systems than Linux.
         pool_size: number of past selves to keep as opponents.
         init: weights to start from; empty starts from scratch.
-        n_steps: steps of each race between two updates.
-        updates: updates per round; each round ends with a checkpoint.
         hold: minimum steps of a drift; a drift earns a boost after 11 steps.
         warm_up: kart-steps at the start that train only the value network; for runs with --init.
         decay_timesteps: learning rate and entropy coefficient decay as 1 / sqrt(1 + kart-steps /
             this); 0 keeps them constant.
-        keep_every: kart-steps between two past selves.
     """
 
     learning_rate: float = 5e-4
     n_epochs: int = 3
     ent_coef: Coefficient = 0.003
+    keep_every: int = 50_000
+    checkpoint_every: int = 32
     races: str = "4+1x5"
-    tracks: tuple[str, ...] = option(EASY_TO_HARD, flag="--track", metavar="TRACK")
-    pass_at: float = 0.7
-    snapshot_share: Share = 0.5
-    grid_share: Share = 0.3
+    tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
+    difficulty: Level = 3
+    max_cycles: int = 500
     num_starts: Natural = 20
+    snapshot_share: Share = 0.5
     pool_size: int = 12
     init: str = ""
-    n_steps: int = 128
-    updates: int = 32
     hold: Natural = 11
     warm_up: Natural = 0
     decay_timesteps: Natural = 1_000_000
-    keep_every: int = 50_000
 
-    def __post_init__(self) -> None:
-        names = self.tracks
-        PPOArguments.__post_init__(self)
-        if self.n_steps * self.lineup.learners * self.lineup.races < 2:
-            raise ConfigError("n_steps is 1 in a race of one agent, expected 2 or more steps")
-        if names != self.tracks:  # a split, whose tracks are in alphabetical order
-            ordered = (track for track in EASY_TO_HARD if track in self.tracks)
-            others = (track for track in self.tracks if track not in EASY_TO_HARD)
-            object.__setattr__(self, "tracks", (*ordered, *others))
 
-    @property
-    def lineup(self) -> Lineup:
-        """The parallel races."""
-        return parse_races([self.races])[0]
+def selfplay_setup(arguments: SB3Arguments) -> PPOSetup:
+    """Returns what a run learns.
+
+    Raises:
+        ConfigError: an argument is invalid.
+    """
+    lineup = parse_races([arguments.races])[0]
+    if arguments.n_steps * lineup.learners * lineup.races < 2:
+        raise ConfigError("n_steps is 1 in a race of one agent, expected 2 or more steps")
+    options = {
+        "num_kart": lineup.learners + lineup.bots,
+        "agents": lineup.learners,
+        "track": arguments.tracks,
+        "reverse": None,
+        "difficulty": arguments.difficulty,
+        "start": "random",
+        "max_cycles": arguments.max_cycles,
+        "num_starts": arguments.num_starts or None,
+        "view": "racing",
+        "reward": _REWARD,
+    }
+    hidden, init = arguments.hidden, arguments.init
+    return PPOSetup(
+        groups=(ActorRaces(lineup.races, options, has_rivals=True),),
+        make_network=partial(
+            RacingNetwork, hidden, arguments.seed, INPUT_SIZE, hold=arguments.hold
+        ),
+        read_first=partial(racing_weights, init, hidden) if init else None,
+        hold=arguments.hold,
+        matchmaker=Matchmaker(PRIORITIZED, arguments.pool_size, arguments.snapshot_share),
+    )
+
+
+# ---------------------------------------------------------------------- the races
+
+
+class SelfPlayRaces(RaceVecEnv):
+    """Races in which past selves drive some of the agents' karts, through the action filter.
+
+    A past self's slot is idle, so :class:`stkzoo.sb3.ActiveRolloutBuffer` leaves out its steps.
+
+    Args:
+        group: the races.
+        hold: minimum steps of a drift.
+        matchmaker: determines the opponents; updated with the results.
+        past: folder of the past selves.
+
+    Attributes:
+        finishes: the races of the learner's karts that ended.
+        rewards: the rewards of the learner's karts in each step.
+        paces: their speeds over the mean speed of the game's AI in such races.
+    """
+
+    def __init__(self, group: ActorRaces, hold: int, matchmaker: Matchmaker, past: Path) -> None:
+        super().__init__(group.num_races, **group.options)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32)
+        view = FilteredView(self.num_envs, hold)
+        self._mirrored = MirroredRaces(self.races, view, MIRROR_SHARE)
+        self._company, self._matchmaker, self._past = group.company, matchmaker, past
+        self._seats = RivalSeats(group.num_races, group.num_agents)
+        self._drivers: dict[str, MlpDriver] = {}
+        self._random = np.random.default_rng()
+        self._seen: FloatArray = np.zeros((0, INPUT_SIZE), np.float32)
+        self._ai_speeds = np.ones((group.num_races, group.num_agents))
+        self.finishes: list[KartRace] = []
+        self.rewards: list[FloatArray] = []
+        self.paces: list[FloatArray] = []
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seeds all random numbers from the next :meth:`reset` on."""
+        self._random = np.random.default_rng(seed)
+        return [seed] * self.num_envs
+
+    def reset(self) -> FloatArray:
+        """Starts new races; returns the observations of all slots."""
+        self._seen, _ = self._mirrored.reset(seed=int(self._random.integers(2**31)))
+        for race in range(self.races.num_races):
+            self._begin_race(race)
+        return self._seen
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Starts a step with the learner's actions for its karts; past selves choose their own."""
+        choices = np.array(actions)
+        for name, rows in self._seats.rows_by_name().items():
+            if name not in self._drivers:
+                self._drivers[name] = load_driver(self._past / f"{name}.safetensors")
+            choices[rows] = self._drivers[name].sample(self._seen[rows], self._random)
+        self._learns = self.races.racing & self._seats.is_own.reshape(-1)
+        self._mirrored.step_async(choices)
+
+    def step_wait(
+        self,
+    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        """Waits for the step and returns its results.
+
+        A finish is a truncation, too: the road continues behind the line, and a kart does not
+        observe its distance to the line. Otherwise, its value would drop unpredictably.
+        """
+        self._seen, rewards, finished, cut, infos = self._mirrored.step_wait()
+        ended, learns, meters = finished | cut, self._learns, 10 * infos["reward/advance"]
+        if ended.any():
+            meters = np.where(ended, 10 * infos["final_info"]["reward/advance"], meters)
+        self.rewards.append(rewards[learns])
+        self.paces.append((meters / _STEP / self._ai_speeds.reshape(-1))[learns])
+        by_slot: list[dict[str, Any]] = [{} for _ in learns]
+        for slot in np.flatnonzero(ended).tolist():
+            if learns[slot]:
+                last = {"terminal_observation": infos["final_obs"][slot]}
+                by_slot[slot] = {**last, "TimeLimit.truncated": True}
+            self._end(slot, infos["final_info"], is_finished=bool(finished[slot]))
+        rewards = np.where(learns, rewards, 0.0).astype(np.float32)
+        return self._seen, rewards, ended | ~learns, by_slot
+
+    def _begin_race(self, race: int) -> None:
+        """Draws the drivers of a race that begins."""
+        env: Any = self.races.races[race]
+        facts = env.race
+        seconds = ai_time(facts.track, facts.reverse, facts.difficulty)
+        self._ai_speeds[race] = env.track_map.length / seconds
+        opponent = draw_opponent(self._matchmaker.odds(), self._random)
+        self._seats.seat(race, opponent, self._random)
+
+    def _end(self, slot: int, last: Mapping[str, Any], *, is_finished: bool) -> None:
+        """Records the end of a kart's race, and of the race if it was the last kart."""
+        race, agent = divmod(slot, self.races.num_agents)
+        position = int(last["position"][slot])
+        if self._seats.is_own[race, agent]:
+            meters = max(10 * float(last["episode/reward/advance"][slot]), 1.0)
+            of_ai = _STEP * int(last["episode"]["l"][slot]) * float(self._ai_speeds[race, agent])
+            ratio = of_ai / meters if is_finished else None
+            reward = float(last["episode"]["r"][slot])
+            self.finishes.append(KartRace(self._company, reward, position, ratio))
+        if self._seats.end(slot, position):
+            beaten = self._seats.beaten(race)
+            if beaten is not None:
+                self._matchmaker.update(self._seats.names[race], beaten)
+            self._begin_race(race)
 
 
 # ---------------------------------------------------------------------- the run
 
 
-@dataclass(frozen=True, slots=True)
-class SB3Facts:
-    """The facts in a checkpoint."""
-
-    kart_steps: Count
-    iteration: Count
-    curriculum: CurriculumState
-    duels: DuelResults
-    recent: list[dict[str, float]]
-
-
-class SB3Run:
-    """A run: its races, model and files.
+class SB3Run(TrainingRun):
+    """A run of Stable-Baselines3's PPO on the networks of the other programs.
 
     Args:
         folder: folder of the run.
@@ -168,199 +283,78 @@ class SB3Run:
             another program.
     """
 
+    arguments: SB3Arguments
+
     def __init__(self, folder: str | Path, arguments: SB3Arguments) -> None:
-        self.folder, self.arguments = Path(folder), arguments
-        with ExitStack() as resources:
-            resources.enter_context(locked_folder(self.folder, "run"))
-            remedy = " (with --init to start from this run's weights)"
-            keep_arguments(self.folder, arguments, remedy=remedy)
-            self.kart_steps = self.iteration = 0
-            self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
-            self._matchmaker = Matchmaker(
-                PRIORITIZED, arguments.pool_size, arguments.snapshot_share
-            )
-            self._envs = SelfPlayVecEnv(
-                arguments.lineup,
-                self._curriculum,
-                self._matchmaker,
-                self.folder,
-                grid_share=arguments.grid_share,
-                num_starts=arguments.num_starts,
-                hold=arguments.hold,
-            )
-            resources.callback(self._envs.close)
-            self._model = self._make_model()
-            if checkpoint := load_checkpoint(self.folder, SB3Facts):
-                with reading_checkpoint(self.folder):
-                    self._restore(*checkpoint)
-            else:
-                if arguments.init:
-                    weights = racing_weights(arguments.init, arguments.hidden)
-                    policy = self._model.policy
-                    policy.load_state_dict(initial_state(weights, policy))
-                self._keep()
-                self.save_checkpoint()
-            self._resources = resources.pop_all()
+        super().__init__(folder, arguments, selfplay_setup(arguments))
 
-    def play_round(self, report: Callable[[dict[str, float]], None]) -> None:
-        """Trains for a round, saves the policy if it is due, and writes the checkpoint.
+    def begin_races(self) -> None:
+        """See :class:`TrainingRun`."""
+        self._model.set_env(self._races, force_reset=True)
+        seeds = np.random.SeedSequence([self.arguments.seed, self.iteration])
+        self._model.set_random_seed(int(seeds.generate_state(1)[0]))
 
-        All random numbers derive from the run's seed and the round's number.
-
-        Args:
-            report: called with the log entry of each update.
-        """
-        arguments, model = self.arguments, self._model
-        before = self.kart_steps
-        model.set_env(self._envs, force_reset=True)
-        number = self.iteration // arguments.updates
-        (seed,) = np.random.SeedSequence([arguments.seed, number]).generate_state(1)
-        model.set_random_seed(int(seed))
-        for _ in range(arguments.updates):
-            report(self._update())
-        if self.kart_steps // arguments.keep_every > before // arguments.keep_every:
-            self._matchmaker.add(self._keep())
-        self.save_checkpoint()
-
-    def save_checkpoint(self) -> None:
-        """Writes ``checkpoint.pt``, from which the run continues exactly."""
-        facts = {
-            "kart_steps": self.kart_steps,
-            "iteration": self.iteration,
-            "curriculum": self._curriculum.state(),
-            "duels": self._matchmaker.state(),
-            "recent": list(self._envs.recent),
-        }
-        policy = self._model.policy
-        state = {"policy": policy.state_dict(), "optimizer": policy.optimizer.state_dict()}
-        save_checkpoint(self.folder, facts, state)
-
-    def save_agent(self) -> Path:
-        """Saves the policy, also as an agent; returns the agent's folder."""
-        self._keep()  # other scripts take the newest of the saved policies
-        file = self.folder / "policy.safetensors"
-        save_driver(file, arrays_of(self._model.policy), self.arguments.hold)
-        return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
-
-    def close(self) -> None:
-        """Ends all races, and unlocks the folder."""
-        self._resources.close()
-
-    # ------------------------------------------------------------------ parts
-
-    def _make_model(self) -> Any:
-        arguments = self.arguments
-        torch.set_num_threads(1)  # the network is small; leave the cores to the races
-        with warnings.catch_warnings():
-            # Batches may differ in size: the buffer leaves out idle slots.
-            warnings.filterwarnings("ignore", "You have specified a mini-batch size")
-            model: Any = PPO(
-                "MlpPolicy",
-                self._envs,
-                rollout_buffer_class=ActiveRolloutBuffer,
-                n_steps=arguments.n_steps,
-                policy_kwargs={"net_arch": list(arguments.hidden)},
-                device="cpu",
-                **{name: getattr(arguments, name) for name in _PPO_NAMES},
-            )
-        with torch.no_grad():
-            for choice, bias in FIRST_BIASES.items():
-                model.policy.action_net.bias[choice] += bias
-        model.set_logger(Logger(None, []))
-        return model
-
-    def _update(self) -> dict[str, float]:
-        """Runs one update; returns its log entry."""
-        begin, envs = time.perf_counter(), self._envs
-        before = envs.kart_steps, envs.rewarded
-        self._anneal()
-        self._warm_up()
-        size = self.arguments.n_steps * envs.num_envs
-        self._model.learn(size, reset_num_timesteps=False, log_interval=None)
-        driven, rewarded = envs.kart_steps - before[0], envs.rewarded - before[1]
-        self.kart_steps += driven
+    def iterate(self) -> dict[str, float]:
+        """See :class:`TrainingRun`."""
+        begin, races, buffer = time.perf_counter(), self._races, self._model.rollout_buffer
+        self._set_rates()
+        races.rewards.clear()
+        races.paces.clear()
+        self._model.learn(buffer.buffer_size * races.num_envs, reset_num_timesteps=False)
+        rewards = np.concatenate(races.rewards)
+        self.recent.extend(races.finishes)
+        races.finishes.clear()
         self.iteration += 1
+        self.kart_steps += len(rewards)
+        values, returns = (a.reshape(-1)[buffer.active] for a in (buffer.values, buffer.returns))
         logged = self._model.logger.name_to_value
         line = {
             "iteration": self.iteration,
             "kart_steps": self.kart_steps,
-            "stage": self._curriculum.stage,
-            "rivals": len(self._matchmaker.pool),
-            "reward": rewarded / max(driven, 1),
-            **envs.figures(),
-            **self._matchmaker.figures(),
-            **{
-                short: sign * float(logged[name])
-                for short, sign, name in (
-                    ("kl", 1, "train/approx_kl"),
-                    ("entropy", -1, "train/entropy_loss"),
-                    ("value_loss", 1, "train/value_loss"),
-                    ("learning_rate", 1, "train/learning_rate"),
-                )
-                if name in logged
-            },
-            "explained": _explained(self._model.rollout_buffer),
-            "kart_steps_per_s": driven / (time.perf_counter() - begin),
+            "rivals": len(self.matchmaker.pool),
+            "reward": float(rewards.mean()),
+            "pace": float(np.concatenate(races.paces).mean()),
+            **race_figures(self.recent),
+            **self.matchmaker.figures(),
+            "kl": float(logged["train/approx_kl"]),
+            "entropy": -float(logged["train/entropy_loss"]),
+            "value_loss": float(logged["train/value_loss"]),
+            "learning_rate": float(logged["train/learning_rate"]),
+            "explained": float(explained_variance(values, returns)),
+            "kart_steps_per_s": len(rewards) / (time.perf_counter() - begin),
         }
         return {name: round(value, 6) for name, value in line.items()}
 
-    def _anneal(self) -> None:
-        """Sets the decayed learning rate and entropy coefficient."""
+    def _make_races(self) -> Callable[[], None]:
+        setup, arguments = self._setup, self.arguments
+        self._races = SelfPlayRaces(setup.groups[0], arguments.hold, self.matchmaker, self.folder)
+        with warnings.catch_warnings():
+            # Batches may differ in size: the buffer leaves out idle slots.
+            warnings.filterwarnings("ignore", "You have specified a mini-batch size")
+            self._model: Any = PPO(
+                "MlpPolicy",
+                self._races,
+                rollout_buffer_class=ActiveRolloutBuffer,
+                policy_kwargs={"net_arch": list(arguments.hidden)},
+                device="cpu",
+                **{name: getattr(arguments, name) for name in _PPO_NAMES},
+            )
+        self._model.set_logger(Logger(None, []))
+        policy, network = self._model.policy, self.network
+        layers = policy.mlp_extractor
+        layers.policy_net, policy.action_net = network.policy[:-1], network.policy[-1]
+        layers.value_net, policy.value_net = network.value[:-1], network.value[-1]
+        policy.optimizer = network.optimizer
+        return self._races.close
+
+    def _set_rates(self) -> None:
+        """Decays the rates, and freezes the policy during the warm-up of the value network."""
         arguments = self.arguments
         passed = self.kart_steps / arguments.decay_timesteps if arguments.decay_timesteps else 0.0
         share = (1.0 + passed) ** -0.5
         self._model.lr_schedule = lambda _: share * arguments.learning_rate
         self._model.ent_coef = share * arguments.ent_coef
-
-    def _warm_up(self) -> None:
-        """Freezes the policy during the warm-up of the value network."""
-        policy = self._model.policy
-        for part in (policy.mlp_extractor.policy_net, policy.action_net):
-            part.requires_grad_(self.kart_steps >= self.arguments.warm_up)
-
-    def _keep(self) -> str:
-        """Writes the current policy; returns its name."""
-        name = policy_name(self.kart_steps)
-        file = self.folder / f"{name}.safetensors"
-        save_driver(file, arrays_of(self._model.policy), self.arguments.hold)
-        return name
-
-    def _restore(self, facts: SB3Facts, state: dict[str, Any]) -> None:
-        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
-        self._curriculum.restore(facts.curriculum)
-        self._matchmaker.restore(facts.duels)
-        self._envs.recent.extend(facts.recent)
-        self._model.policy.load_state_dict(state["policy"])
-        self._model.policy.optimizer.load_state_dict(state["optimizer"])
-
-
-def _explained(buffer: Any) -> float:
-    """Returns the explained variance of the returns, without idle steps."""
-    values, returns = (a.reshape(-1)[buffer.active] for a in (buffer.values, buffer.returns))
-    return float(1.0 - np.var(returns - values) / max(np.var(returns), 1e-8))
-
-
-def arrays_of(policy: Any) -> dict[str, npt.NDArray[np.float32]]:
-    """Returns the state dict of a policy as arrays."""
-    return {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
-
-
-def initial_state(weights: dict[str, npt.NDArray[np.float32]], policy: Any) -> dict[str, Any]:
-    """Returns a state dict for a policy from weights, which may lack the value network.
-
-    If the layers take only the view as input, the memory of the action filter initially has no
-    effect.
-
-    Args:
-        weights: weights from ``sb3``, ``imitation`` or ``rllib``, with the policy's hidden layers.
-        policy: the Stable-Baselines3 policy to initialize.
-    """
-    state = arrays_of(policy)
-    for name, array in weights.items():
-        more = state[name].shape[-1] - array.shape[-1] if name in state else 0
-        if name != HOLD:
-            state[name] = np.pad(array, ((0, 0), (0, more))) if more else array
-    return {name: torch.from_numpy(array) for name, array in state.items()}
+        self.network.policy.requires_grad_(self.kart_steps >= arguments.warm_up)
 
 
 # ---------------------------------------------------------------------- the command
@@ -378,39 +372,22 @@ class SB3Options(ScriptOptions):
 
 
 def train(options: SB3Options, arguments: SB3Arguments) -> None:
-    """Starts or continues a run.
+    """Starts or continues a run, and writes its agent at the end.
 
     Raises:
         ConfigError: see :class:`SB3Run`.
     """
-    with (
-        closing(SB3Run(options.output, arguments)) as run,
-        TrainingLog(run.folder, run.iteration) as log,
-    ):
-        with ProgressBar(options.total_timesteps, run.kart_steps) as bar:
-
-            def report(line: dict[str, float]) -> None:
-                log.write(line)
-                show = bar.report if run.iteration % arguments.updates == 0 else bar.show
-                show(line["kart_steps"], _summary(line))
-
-            while run.kart_steps < options.total_timesteps:
-                run.play_round(report)
-        agent = run.save_agent()
-        print(f"stkzoo race {agent} ai ai random --track {arguments.tracks[0]}")
+    with closing(SB3Run(options.output, arguments)) as run:
+        run.learn(options.total_timesteps, _SHOWN)
+        policy = run.save_policy(run.folder / "policy.safetensors")
+        agent = export_policy(policy, f"selfplay_{run.kart_steps}", run.folder / "agent")
+    print(f"stkzoo race {agent} ai ai random --track {arguments.tracks[0]}")
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    remedy = "the same command continues from the last round"
+    remedy = "the same command continues from the last checkpoint"
     return run_command("sb3.selfplay", __doc__, train, (SB3Options, SB3Arguments), words, remedy)
-
-
-def _summary(line: dict[str, float]) -> str:
-    """Returns a short text on an update."""
-    names = ("pace", "finished", "position", "beaten")
-    figures = [f"{name} {line[name]:.2f}" for name in names if name in line]
-    return f"stage {line['stage']:.0f}  {'  '.join(figures)}  {line['kart_steps_per_s']:.0f}/s"
 
 
 if __name__ == "__main__":
