@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import load_driver
-from stkzoo.agents.training.common.run_folder import save_driver
+from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.imitation import imitate, lessons
 from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
@@ -47,8 +47,8 @@ def test_a_network_learns_choices_that_depend_on_its_observations():
     out = held_out(len(actions), (0,))
     first = fit(network, observations, actions, out, n_epochs=1, **how)
     last = fit(network, observations, actions, out, n_epochs=10, **how)
-    assert last.loss < 0.8 * first.loss
-    assert last.accuracy[2] > 0.7
+    assert last["loss"] < 0.8 * first["loss"]
+    assert last["accuracy"][2] > 0.7
 
 
 def test_the_same_seed_gives_the_same_network():
@@ -127,7 +127,7 @@ def test_the_clone_drives_in_the_rounds_as_its_agent_does(tmp_path, monkeypatch)
         network.policy[-1].weight[:] = 0.0
         network.policy[-1].bias[:] = -torch.arange(float(sum(CHOICES)))
     policy = tmp_path / "policy.safetensors"
-    save_driver(policy, network.policy_weights())
+    save_weights(policy, network.policy_weights())
     monkeypatch.setattr(imitate, "run_race", run_for_a_while)
     drive_race("pursuit", str(policy), 1, 3, "olivermath", 1)
     agent = export_policy(policy, "left", tmp_path / "agent")

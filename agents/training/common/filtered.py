@@ -10,7 +10,7 @@ from stkzoo.wrappers.racing import CHOICES, CONTEST_MIRROR
 
 
 class FilteredView:
-    """What karts in the view ``contest`` see and do through an :class:`ActionFilter`.
+    """What karts in the view ``racing`` or ``contest`` see and do through an :class:`ActionFilter`.
 
     Observations get :data:`~stkzoo.agents.planning.memory.MEMORY_SIZE` more columns. The methods
     are those of :class:`~stkzoo.agents.planning.mirrored.MemoryView`.

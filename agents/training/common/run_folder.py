@@ -17,14 +17,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-import numpy as np
 
 from stkzoo._locks import LOCK
 from stkzoo._os import make_folder, write_text, write_whole, writing
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.mlp import HOLD
-from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
 from .command import training_library
@@ -65,16 +62,13 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-def check_resumed(
-    folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
-) -> None:
+def check_resumed(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """Checks that a run continues with its original arguments.
 
     Args:
         folder: folder of the run.
         before: arguments in its files.
         now: given arguments.
-        remedy: another remedy to suggest, besides the same arguments or another folder.
 
     Raises:
         ConfigError: the arguments differ, or another version of stkzoo wrote the files.
@@ -93,13 +87,11 @@ def check_resumed(
     if changed:
         raise ConfigError(
             f"the run in {str(folder)!r} has other arguments: {', '.join(changed)}; give the same, "
-            f"or another --output{remedy}"
+            "or another --output; --init, where available, starts from this run's weights"
         )
 
 
-def keep_arguments(
-    folder: Path, arguments: Any, free: Collection[str] = (), remedy: str = ""
-) -> None:
+def keep_arguments(folder: Path, arguments: Any, free: Collection[str] = ()) -> None:
     """Writes the arguments of a new run, or checks those of a continued one.
 
     A run that ended before it wrote anything else, perhaps because an argument was wrong, is new.
@@ -108,7 +100,6 @@ def keep_arguments(
         folder: folder of the run; created if necessary.
         arguments: a dataclass.
         free: fields that may change when a run continues; they are not written.
-        remedy: see :func:`check_resumed`.
 
     Raises:
         ConfigError: see :func:`check_resumed`; or the folder cannot be created.
@@ -116,7 +107,7 @@ def keep_arguments(
     now = {name: value for name, value in asdict(arguments).items() if name not in free}
     file = folder / ARGUMENTS
     if file.exists() and {path.name for path in folder.iterdir()} - {ARGUMENTS, LOCK}:
-        check_resumed(folder, read_run_file(dict[str, Any], file), now, remedy)
+        check_resumed(folder, read_run_file(dict[str, Any], file), now)
         return
     make_folder(folder, "run")
     write_json(file, now)
@@ -172,18 +163,6 @@ def remove_later_policies(folder: Path, kart_steps: int) -> None:
     for policy in saved_policies(folder):
         if (kart_steps_of(policy) or 0) > kart_steps:
             policy.unlink()
-
-
-def save_driver(path: str | Path, weights: Mapping[str, Any], hold: int = 0) -> None:
-    """Writes a policy on the view ``racing`` to a file atomically.
-
-    Args:
-        path: path of the file.
-        weights: arrays with Stable-Baselines3's names.
-        hold: minimum steps of its drifts.
-    """
-    held = {HOLD: np.array([hold], np.float32)} if hold else {}
-    save_weights(path, {**weights, **held})
 
 
 def run_parameters(policy: Path) -> DriverParameters:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo._arguments import option
-from stkzoo.agents.planning import BoolArray, IntArray
+from stkzoo.agents.planning import IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning.view import PlanVectorEnv
@@ -88,11 +88,6 @@ class LabelledRaces:
     def seen(self) -> Numbers:
         """Inputs of the students, ``(S, 177)``."""
         return self._observations["inputs"][:, :INPUT_SIZE]
-
-    @property
-    def active(self) -> BoolArray:
-        """``(S,)`` bool, karts that are racing."""
-        return self.races.races.racing
 
     def labels(self) -> IntArray:
         """Choices of the plans, in the students' form, ``(S, 5)``."""
@@ -168,7 +163,7 @@ def _drive(
         while count < arguments.steps:
             first = 0
             for group in groups:
-                right, sees, active = group.labels(), group.seen, group.active
+                right, sees, active = group.labels(), group.seen, group.races.races.racing
                 slots.append(first + np.flatnonzero(active))
                 seen.append(sees[active])
                 answers.append(right[active])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -23,12 +23,12 @@ from stkzoo._os import write_whole
 from stkzoo._reading import reading
 from stkzoo._schema import Level
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import NetworkArguments, ScriptOptions
 from ..common.command import ProgressBar
-from ..common.run_folder import keep_arguments, read_log, save_driver, write_log
+from ..common.run_folder import keep_arguments, read_log, write_log
 from ..export import export_policy
 from ..plot import plot_runs
 from ..ppo.network import RacingNetwork
@@ -147,7 +147,7 @@ def run_rounds(
     """
     keep_arguments(folder, arguments, arguments.free)
     log = [line for line in read_log(folder) if "loss" in line]
-    network = RacingNetwork(arguments.hidden, arguments.seed, inputs=inputs)
+    network = RacingNetwork(arguments.hidden, arguments.seed, inputs=inputs, hold=hold)
     if log:
         network.start_from(load_weights(_policy(folder, len(log) - 1)))
     for number in range(len(log), arguments.rounds + (1 if judge else 2)):
@@ -159,7 +159,7 @@ def run_rounds(
         sizes = [len(part.actions) for part in parts]
         lessons = Lesson.joined(parts)
         report(f"round {number}: learning from {len(lessons.actions):,} examples", 0, 1)
-        result = fit(
+        fitted = fit(
             network,
             lessons.observations,
             lessons.actions,
@@ -169,9 +169,9 @@ def run_rounds(
             batch_size=arguments.batch_size,
             seed=arguments.seed + number,
         )
-        save_driver(_policy(folder, number), network.policy_weights(), hold)
+        save_weights(_policy(folder, number), network.policy_weights())
         figures = judge(load_driver(_policy(folder, number))) if judge else {}
-        log[-1] |= {"examples": len(lessons.actions), **asdict(result), **figures}
+        log[-1] |= {"examples": len(lessons.actions), **fitted, **figures}
         write_log(folder, log)
     write_log(folder, log)
     with write_whole(folder / _POLICY, "the policy") as part:

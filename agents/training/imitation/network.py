@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,19 +18,6 @@ Numbers = npt.NDArray[Any]
 
 #: Standard deviation of the label smoothing over neighboring steering choices [choices].
 _BLUR = 0.7
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """Accuracy of a network on held-out examples.
-
-    Attributes:
-        loss: mean cross-entropy, summed over the five choices [nats].
-        accuracy: fraction of correct choices: steering, pedal, drift, nitro, fire.
-    """
-
-    loss: float
-    accuracy: list[float]
 
 
 def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]:
@@ -65,7 +51,7 @@ def fit(
     learning_rate: float,
     batch_size: int,
     seed: int,
-) -> Fit:
+) -> dict[str, Any]:
     """Trains a network on examples and evaluates it on those that are held out.
 
     Args:
@@ -78,6 +64,10 @@ def fit(
         learning_rate: initial learning rate of Adam; it decays to 0.
         batch_size: examples per gradient step.
         seed: seed of their order.
+
+    Returns:
+        For the log: ``loss``, the mean cross-entropy, summed over the five choices [nats], and
+            ``accuracy``, the fraction of correct choices: steering, pedal, drift, nitro, fire.
     """
     torch = training_torch()
     random = np.random.default_rng(seed)
@@ -116,7 +106,9 @@ def _losses(logits: Sequence[Any], targets: Sequence[Any]) -> list[Any]:
     return [entropy(*pair) for pair in zip(logits, targets, strict=True)]
 
 
-def _judge(torch: Any, network: RacingNetwork, observations: Numbers, actions: Numbers) -> Fit:
+def _judge(
+    torch: Any, network: RacingNetwork, observations: Numbers, actions: Numbers
+) -> dict[str, Any]:
     targets = torch.from_numpy(actions.astype(np.int64)).T
     with torch.no_grad():
         logits = network.policy(torch.from_numpy(observations.astype(np.float32)))
@@ -126,4 +118,4 @@ def _judge(torch: Any, network: RacingNetwork, observations: Numbers, actions: N
             float((part.argmax(1) == target).float().mean())
             for part, target in zip(parts, targets, strict=True)
         ]
-    return Fit(round(loss, 4), [round(share, 4) for share in right])
+    return {"loss": round(loss, 4), "accuracy": [round(share, 4) for share in right]}
