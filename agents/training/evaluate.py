@@ -32,13 +32,11 @@ from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
 from .common.command import limit_threads, run_command
-from .common.matches import Finish, Match, MatchDriver, match_driver, play_matches
+from .common.matches import SIDE_BY_SIDE, Finish, Match, MatchDriver, match_driver, play_matches
 from .common.run_folder import saved_policies
 
 #: First starting point for evaluation; training numbers its starting points from 0.
 _FIRST_NUMBER = 1000
-#: Number of starting points that all policies drive in parallel.
-_SIDE_BY_SIDE = 28
 
 
 def evaluate(
@@ -67,8 +65,8 @@ def evaluate(
     places = list(itertools.product(tracks, (False, True), starts))
     results: list[list[list[Finish]]] = [[] for _ in drivers]
     by_name = {str(number): driver for number, driver in enumerate(drivers)}
-    for first in range(0, len(places), _SIDE_BY_SIDE):
-        part = places[first : first + _SIDE_BY_SIDE]
+    for first in range(0, len(places), SIDE_BY_SIDE):
+        part = places[first : first + SIDE_BY_SIDE]
         matches = [Match((name,) * karts, *place, bots) for name in by_name for place in part]
         finishes = play_matches(matches, by_name, side_by_side=len(part))
         for match, ends in zip(matches, finishes, strict=True):

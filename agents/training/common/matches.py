@@ -42,7 +42,7 @@ UNFINISHED = 3.0
 _PATIENCE = 1.6
 _STEP = 0.1  # [s]
 #: Number of matches that one process drives in parallel.
-_SIDE_BY_SIDE = 28
+SIDE_BY_SIDE = 28
 
 #: Observations of some karts (:class:`~stkzoo.agents.planning.view.PlanSurroundings`), in rows.
 Seen = Mapping[str, Any]
@@ -221,23 +221,28 @@ class _MatchStarts:
 
     def __init__(self, sees_line: bool) -> None:
         self._view = surroundings_view(sees_line)
-        self._free: dict[tuple[int, int], list[Any]] = {}
+        self._envs: dict[tuple[int, int, int], Any] = {}
         self._states: dict[tuple[Any, ...], Any] = {}
 
-    def begin(self, match: Match) -> tuple[Any, dict[str, Any]]:
-        """Returns an environment at the start of a match, and its observations."""
+    def begin(self, match: Match, place: int) -> tuple[Any, dict[str, Any]]:
+        """Returns an environment at the start of a match, and its observations.
+
+        Args:
+            match: the match.
+            place: a number that no match has that is driven at the same time.
+        """
         count, bots = len(match.drivers), match.bots
-        free = self._free.setdefault((count, bots), [])
-        env = free.pop() if free else self._new_env(count, bots)
+        key = place, count, bots
+        if key not in self._envs:
+            self._envs[key] = race_v0.parallel_env(
+                agents=count, num_kart=count + bots, view=self._view
+            )
+        env = self._envs[key]
         if match.start not in self._states:
             self._states[match.start] = _state_at_go(env, match)
         seconds = _PATIENCE * ai_time(match.track, match.reverse, match.difficulty)
         options = {"state": self._states[match.start], "max_cycles": math.ceil(seconds / _STEP)}
         return env, env.reset(options=options)[0]
-
-    def end(self, match: Match, env: Any) -> None:
-        """Takes the environment of a match back."""
-        self._free[len(match.drivers), match.bots].append(env)
 
     def keep(self, starts: Collection[tuple[Any, ...]]) -> None:
         """Ends the processes of all other starts."""
@@ -247,11 +252,8 @@ class _MatchStarts:
     def close(self) -> None:
         """Ends all processes."""
         self.keep(())
-        for env in (env for envs in self._free.values() for env in envs):
+        for env in self._envs.values():
             env.close()
-
-    def _new_env(self, count: int, bots: int) -> Any:
-        return race_v0.parallel_env(agents=count, num_kart=count + bots, view=self._view)
 
 
 def _state_at_go(env: Any, match: Match) -> Any:
@@ -275,7 +277,7 @@ class _RunningMatch:
 
     def __init__(self, match: Match, first: int, starts: _MatchStarts) -> None:
         self.match, self.finishes = match, dict[int, Finish]()
-        self.env, self.observations = starts.begin(match)
+        self.env, self.observations = starts.begin(match, first)
         self._rows = {agent: first + n for n, agent in enumerate(self.env.possible_agents)}
 
     def see(self, seen: dict[str, Any]) -> None:
@@ -310,32 +312,29 @@ def _drive(
         rows = np.flatnonzero(names == name)
         controllers.append((rows, drivers[name].take_karts(len(rows))))
     firsts = np.cumsum([0, *(len(match.drivers) for match in matches)])
-    running: list[_RunningMatch] = []
-    try:
-        for match, first in zip(matches, firsts.tolist(), strict=False):
-            running.append(_RunningMatch(match, first, starts))
-        space = running[0].env.observation_space("kart_0")
-        seen: Any = create_empty_array(space, len(names))
-        controls = np.zeros((len(names), 7), np.float32)
-        while left := [each for each in running if each.env.agents]:
-            for each in left:
-                each.see(seen)
-            for rows, control in controllers:
-                controls[rows] = control({key: array[rows] for key, array in seen.items()})
-            for each in left:
-                each.send(controls)
-            for each in left:
-                each.receive()
-    finally:
-        for each in running:
-            starts.end(each.match, each.env)
+    running = [
+        _RunningMatch(match, first, starts)
+        for match, first in zip(matches, firsts.tolist(), strict=False)
+    ]
+    space = running[0].env.observation_space("kart_0")
+    seen: Any = create_empty_array(space, len(names))
+    controls = np.zeros((len(names), 7), np.float32)
+    while left := [each for each in running if each.env.agents]:
+        for each in left:
+            each.see(seen)
+        for rows, control in controllers:
+            controls[rows] = control({key: array[rows] for key, array in seen.items()})
+        for each in left:
+            each.send(controls)
+        for each in left:
+            each.receive()
     return [[each.finishes[row] for row in sorted(each.finishes)] for each in running]
 
 
 def play_matches(
     matches: Sequence[Match],
     drivers: Mapping[str, MatchDriver],
-    side_by_side: int = _SIDE_BY_SIDE,
+    side_by_side: int = SIDE_BY_SIDE,
 ) -> list[list[Finish]]:
     """Plays matches.
 
