@@ -19,10 +19,11 @@ import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
 from stkzoo._reading import Unreadable, reading
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import GRAY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
-from .common.run_folder import LOG, require_log
+from .common.run_folder import LOG, read_log
 
 #: A rating and both ends of its interval.
 Interval = Sequence[float]
@@ -110,8 +111,11 @@ def read_figures(folder: str | Path) -> list[dict[str, Any]]:
     Raises:
         ConfigError: the folder has no log, or the log is damaged.
     """
-    log = require_log(folder)
-    with reading(f"{str(Path(folder) / LOG)!r} cannot be drawn", "the log of a run"):
+    file = Path(folder) / LOG
+    if not file.is_file():
+        raise ConfigError(f"{str(folder)!r} is not the folder of a run: it has no {LOG}")
+    log = read_log(Path(folder))
+    with reading(f"{str(file)!r} cannot be drawn", "the log of a run"):
         for number, line in enumerate(log, 1):
             if "kart_steps" not in line and "round" not in line:
                 raise Unreadable(f"line {number} has neither kart_steps nor round")

@@ -273,18 +273,6 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     return read_json_lines(folder / LOG, dict[str, Any])
 
 
-def require_log(folder: str | Path) -> list[dict[str, Any]]:
-    """Returns the entries of a run's log.
-
-    Raises:
-        ConfigError: the folder has no log.
-    """
-    file = Path(folder) / LOG
-    if not file.is_file():
-        raise ConfigError(f"{str(folder)!r} is not the folder of a run: it has no {LOG}")
-    return read_log(Path(folder))
-
-
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
     """Writes the whole log of a run atomically."""
     write_text(folder / LOG, "".join(map(_json_line, log)))
