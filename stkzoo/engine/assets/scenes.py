@@ -28,7 +28,8 @@ import os
 import re
 import xml.etree.ElementTree as ET
 from collections import defaultdict
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -82,10 +83,10 @@ def thin_scenes(data: Path) -> None:
 def _thin(library: _Library, data: Path) -> None:
     for path in sorted(data.glob("tracks/*/scene.xml")):
         scene = parse_xml(path)
-        if _SceneThinner(library, path.parent).thin(scene):
+        if _SceneThinner(library).thin(scene):
             _replace(path, scene)
     for name, node in library.nodes.items():
-        if node is not None and node.is_changed:
+        if node.gone:
             _replace(library.folder(name) / "node.xml", node.root)
 
 
@@ -99,18 +100,18 @@ class _Node:
     """A library object.
 
     Attributes:
-        root: its description, thinned.
         whole: its description as it was.
+        root: its description, thinned.
         has_body: whether anything in it can matter to a race.
+        gone: the objects that ``root`` lacks.
         solids: the objects that can replace an instance; empty if none can.
-        is_changed: whether ``root`` has to be written.
     """
 
-    root: ET.Element
     whole: ET.Element
+    root: ET.Element
     has_body: bool
-    solids: list[ET.Element] = field(default_factory=list)
-    is_changed: bool = False
+    gone: Sequence[ET.Element] = ()
+    solids: Sequence[ET.Element] = ()
 
 
 class _Library:
@@ -118,7 +119,7 @@ class _Library:
 
     def __init__(self, data: Path) -> None:
         self._data = data
-        self.nodes: dict[str, _Node | None] = {}
+        self.nodes: dict[str, _Node] = {}
         self._models: dict[str, list[Path]] = defaultdict(list)
         self._hues: set[str] = set()
         self._with_hue: dict[Path, bool] = {}
@@ -151,27 +152,27 @@ class _Library:
         name = entry.get("id", "")
         return name in self._in_tracks or (not in_library and name in self._in_library)
 
-    def node(self, name: str) -> _Node | None:
-        """A library object, thinned; ``None`` if it is missing or has a script."""
+    def node(self, name: str) -> _Node:
+        """A library object; one that is missing, or has a script or no body, is not thinned."""
         if name not in self.nodes:
-            folder = self.folder(name)
-            can_change = (folder / "node.xml").is_file() and not (folder / "scripting.as").exists()
-            self.nodes[name] = self._thin_node(_read(folder)) if can_change else None
+            path = self.folder(name) / "node.xml"
+            whole = parse_xml(path) if path.is_file() else ET.Element("scene")
+            has_script = path.with_name("scripting.as").exists()
+            can_change = path.is_file() and not has_script
+            self.nodes[name] = self._thin_node(whole) if can_change else _Node(whole, whole, True)
         return self.nodes[name]
 
-    def _thin_node(self, root: ET.Element) -> _Node:
-        gone = [entry for entry in root if self.can_go(entry, in_library=True)]
-        rest = [entry for entry in root if entry not in gone and entry.tag != "lod"]
-        node = _Node(root, copy.deepcopy(root), bool(rest))
+    def _thin_node(self, whole: ET.Element) -> _Node:
+        gone = [entry for entry in whole if self.can_go(entry, in_library=True)]
+        rest = [entry for entry in whole if entry not in gone and entry.tag != "lod"]
         if not rest:
-            return node
-        levels = _levels(root)
+            return _Node(whole, whole, has_body=False)
+        root, levels = copy.copy(whole), _levels(whole)
         for entry in gone:
             _exchange(root, entry, self.hue_draws(entry, levels))
-            node.is_changed = True
-        if all(self._stands_alone(entry) for entry in rest):
-            node.solids = [entry for entry in root if entry.tag != "lod"]
-        return node
+        stand_alone = all(map(self._stands_alone, rest))
+        solids = [entry for entry in root if entry.tag != "lod"] if stand_alone else []
+        return _Node(whole, root, True, gone, solids)
 
     def can_go(self, entry: ET.Element, *, in_library: bool = False) -> bool:
         """Whether it is only seen or heard."""
@@ -226,61 +227,50 @@ class _Library:
 class _SceneThinner:
     """Thins one scene, in the order in which the game loads it."""
 
-    def __init__(self, library: _Library, folder: Path) -> None:
+    def __init__(self, library: _Library) -> None:
         self._library = library
-        self._folder = folder
         self._levels: _Levels = defaultdict(list)
         self._met: set[str] = set()
         self._draws = 0
-        self._is_changed = False
 
     def thin(self, scene: ET.Element) -> bool:
         """Whether anything changed."""
         self._levels |= _levels(scene)
-        for entry in list(scene):
+        entries = list(scene)
+        for entry in entries:
             if self._library.can_go(entry):
                 self._draws += self._level_draws(entry)
-                self._exchange(scene, entry, self._library.hue_draws(entry, self._levels))
+                _exchange(scene, entry, self._library.hue_draws(entry, self._levels))
             elif entry.tag == "library":
                 self._thin_instance(scene, entry)
         if self._draws:
             _add_draws(scene, self._draws)
-        return self._is_changed or bool(self._draws)
+        return list(scene) != entries
 
     def _thin_instance(self, scene: ET.Element, entry: ET.Element) -> None:
         name = entry.get("name", "")
         is_first = name not in self._met
-        node = None if self._has_own(name) else self._library.node(name)
-        if node is None or node.has_body or is_first or self._library.is_named(entry):
+        node = self._library.node(name)
+        if node.has_body or is_first or self._library.is_named(entry):
             self._load(name)
-            if node is not None and node.solids and not is_first and self._can_open(entry):
-                self._exchange(scene, entry, _opened(node.solids, entry))
+            if node.solids and not is_first and self._can_open(entry):
+                _exchange(scene, entry, _opened(node.solids, entry))
         else:
             self._draws += sum(map(self._level_draws, node.whole))
             draws = (self._library.hue_draws(child, self._levels) for child in node.whole)
-            self._exchange(scene, entry, list(itertools.chain.from_iterable(draws)))
-
-    def _has_own(self, name: str) -> bool:
-        """Whether the track has a library object of its own by this name."""
-        return (self._own_folder(name) / "node.xml").is_file()
-
-    def _own_folder(self, name: str) -> Path:
-        return self._folder / "library" / name
+            _exchange(scene, entry, list(itertools.chain.from_iterable(draws)))
 
     def _load(self, name: str) -> None:
         """Counts the draws that an instance no longer makes, with those of instances in it."""
-        is_own = self._has_own(name)
-        node = None if is_own else self._library.node(name)
-        folder = self._own_folder(name) if is_own else self._library.folder(name)
-        whole = node.whole if node else _read(folder)
+        node = self._library.node(name)
         if name not in self._met:
             self._met.add(name)
-            for group, levels in _levels(whole).items():
+            for group, levels in _levels(node.whole).items():
                 self._levels[group] += levels
-        for entry in whole:
+        for entry in node.whole:
             if entry.tag == "library":
                 self._load(entry.get("name", ""))
-            elif node and node.has_body and self._library.can_go(entry, in_library=True):
+            elif entry in node.gone:
                 self._draws += self._level_draws(entry)
 
     def _can_open(self, entry: ET.Element) -> bool:
@@ -296,10 +286,6 @@ class _SceneThinner:
         group = self._levels.get(entry.get("lod_group", ""), [])
         far = [int(float(level.get("lod_distance", -1))) ** 2 for level in group]
         return sum(after > before for before, after in itertools.pairwise(far))
-
-    def _exchange(self, scene: ET.Element, entry: ET.Element, others: list[ET.Element]) -> None:
-        _exchange(scene, entry, others)
-        self._is_changed = True
 
 
 def _exchange(parent: ET.Element, entry: ET.Element, others: list[ET.Element]) -> None:
@@ -318,7 +304,7 @@ def _add_draws(scene: ET.Element, count: int) -> None:
     ET.SubElement(scene, "object", names | {"lod_group": _DRAWS})
 
 
-def _opened(solids: list[ET.Element], instance: ET.Element) -> list[ET.Element]:
+def _opened(solids: Sequence[ET.Element], instance: ET.Element) -> list[ET.Element]:
     """The objects of a library object at their places in the scene.
 
     The first one says which instance they were. An attribute does, because the game takes every
@@ -356,11 +342,6 @@ def _placed(solid: ET.Element, instance: ET.Element) -> ET.Element:
     for name, values in (("xyz", place), ("scale", size)):
         placed.set(name, " ".join(f"{value:.9g}" for value in values))
     return placed
-
-
-def _read(folder: Path) -> ET.Element:
-    path = folder / "node.xml"
-    return parse_xml(path) if path.is_file() else ET.Element("scene")
 
 
 def _three(entry: ET.Element, name: str, missing: float) -> npt.NDArray[np.float32]:
