@@ -36,13 +36,12 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.assets.mesh import read_textures
-from stkzoo.engine.assets.tree import parse_xml
+from stkzoo.engine.assets.tree import is_true, parse_xml
 from stkzoo.errors import AssetError
 
 #: Version of the rules in this module.
 SCENES_VERSION = 1
 
-_YES = {"y", "yes", "true", "1"}
 _WITHOUT_BODY = ("ghost", "none")
 #: Elements that are only seen.
 _SEEN = ("light", "particle-emitter")
@@ -186,8 +185,8 @@ class _Library:
         if type_name == "billboard":
             return True
         if type_name == "sfx-emitter":  # one with a trigger is a check of the track
-            return not _is(entry, "play-when-near")
-        if type_name in _NO_MODEL or _is(entry, "driveable") or _is(entry, "soccer_ball"):
+            return not is_true(entry, "play-when-near")
+        if type_name in _NO_MODEL or is_true(entry, "driveable") or is_true(entry, "soccer_ball"):
             return False
         has_body = entry.get("interaction", "static") not in _WITHOUT_BODY
         return not has_body and bool(self._models[_model(entry)] or entry.get("lod_group"))
@@ -199,7 +198,7 @@ class _Library:
             and entry.get("type") == "animation"
             and entry.get("interaction", "static") in ("static", "physicsonly")
             and entry.find("curve") is None
-            and not any(_is(entry, name) for name in ("lod_instance", "driveable"))
+            and not any(is_true(entry, name) for name in ("lod_instance", "driveable"))
             and not any(entry.get(name) for name in ("if", "on-kart-collision", "renderpass"))
             and not self.is_named(entry, in_library=True)
             and not np.any(_three(entry, "hpr", 0.0))
@@ -281,7 +280,7 @@ class _SceneThinner:
 
     def _level_draws(self, entry: ET.Element) -> int:
         """How many numbers the levels of detail of an object draw."""
-        if not _is(entry, "lod_instance"):
+        if not is_true(entry, "lod_instance"):
             return 0
         group = self._levels.get(entry.get("lod_group", ""), [])
         far = [int(float(level.get("lod_distance", -1))) ** 2 for level in group]
@@ -355,10 +354,6 @@ def _levels(root: ET.Element) -> _Levels:
         for level in group:
             levels[level.get("lod_group", "")].append(level)
     return levels
-
-
-def _is(entry: ET.Element, name: str) -> bool:
-    return entry.get(name, "").lower() in _YES
 
 
 def _model(entry: ET.Element) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stkzoo._reading import Unreadable, load_json, read_file
@@ -61,22 +61,20 @@ def write_marker(root: Path, origin: str, *, headless: bool, scenes: int = 0) ->
     Raises:
         AssetError: the tree is not usable.
     """
-    tracks, karts = read_catalog(root)
-    values = {"origin": origin, "headless": headless, "layout": _LAYOUT, "scenes": scenes}
-    text = json.dumps({**values, "tracks": tracks, "karts": karts}, indent=1, sort_keys=True)
+    marker = _Marker(_LAYOUT, origin, headless, *read_catalog(root), scenes)
+    text = json.dumps(asdict(marker), indent=1, sort_keys=True)
     (root / MARKER).write_text(text + "\n", encoding="utf-8")
     check_shape(root)
 
 
-def read_marker(root: Path) -> Assets | None:
+def read_marker(root: Path) -> _Marker | None:
     """Reads the marker of a tree.
 
     Args:
         root: the tree.
 
     Returns:
-        The assets in the tree, with the marker's origin as ``source``; ``None`` if stkzoo did not
-        make the tree.
+        The marker; ``None`` if stkzoo did not make the tree.
 
     Raises:
         AssetError: the marker cannot be read or is from another version of stkzoo.
@@ -92,7 +90,7 @@ def read_marker(root: Path) -> Assets | None:
             f"{root} was made by another version of stkzoo (layout {marker.layout}, "
             f"this one makes {_LAYOUT})."
         )
-    return Assets(root, marker.origin, marker.headless, marker.tracks, marker.karts, marker.scenes)
+    return marker
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +105,16 @@ class _Marker:
     scenes: int = 0
 
 
-def check_shape(root: Path) -> None:
+def check_shape(root: Path) -> _Marker | None:
     """Checks that the files and folders exist without which the engine exits.
 
     This takes one or two milliseconds, because it does not read the files of the game.
 
     Args:
         root: the folder that contains ``data``.
+
+    Returns:
+        The result of :func:`read_marker`.
 
     Raises:
         AssetError: a file or folder is missing; the message names the first one.
@@ -138,6 +139,7 @@ def check_shape(root: Path) -> None:
     for name in files:
         if not (data / name).is_file():
             raise AssetError(f"{name!r} is missing from {root}.")
+    return marker
 
 
 def read_catalog(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -161,8 +163,13 @@ def read_catalog(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _is_race(description: Path) -> bool:
-    attributes = parse_xml(description).attrib
-    return not any(attributes.get(key, "").lower() in _YES for key in _NOT_A_RACE)
+    track = parse_xml(description)
+    return not any(is_true(track, name) for name in _NOT_A_RACE)
+
+
+def is_true(element: ET.Element, name: str) -> bool:
+    """Returns whether an attribute has one of the values that the game takes for true."""
+    return element.get(name, "").lower() in _YES
 
 
 def parse_xml(path: Path) -> ET.Element:
@@ -213,9 +220,7 @@ def load_assets(root: Path, source: str) -> Assets:
     Raises:
         AssetError: the engine cannot use them.
     """
-    check_shape(root)
-    marker = read_marker(root)
-    if marker is not None:
-        return replace(marker, source=source)
-    tracks, karts = read_catalog(root)
-    return Assets(root, source, False, tracks, karts)
+    marker = check_shape(root)
+    if marker is None:
+        return Assets(root, source, False, *read_catalog(root))
+    return Assets(root, source, marker.headless, marker.tracks, marker.karts, marker.scenes)
