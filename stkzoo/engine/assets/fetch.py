@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from email import message_from_string
 from pathlib import Path
-from typing import Any
 
 from stkzoo._imports import python_command
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
@@ -89,20 +88,29 @@ _SUBSTITUTE_FONTS = ("wqy-microhei.ttf", "SigmarOne.otf")
 def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
     """Downloads the package and makes a full tree from it.
 
+    Debian's data differs from what the engine needs in three points: the empty file that names the
+    version, the skin ``classic``, and the fonts, which are links to files of other packages. All
+    files that affect a race are identical.
+
     Args:
         target: an empty folder that becomes the root of the tree.
         work: an empty folder for temporary files, on the same disk.
         progress: receives progress reports.
 
     Raises:
-        AssetError: apt is missing or fails, or the disk does not have enough space.
+        AssetError: apt is missing or fails, the disk does not have enough space, or the data is of
+            another version or incomplete.
     """
     if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
         raise AssetError("this machine has no apt-get and dpkg-deb (it is not Debian or Ubuntu).")
     package = _download(work, progress)
-    unpack_package(package, target, progress)
+    _unpack(package, target, progress)
     package.unlink()
-    _adapt(target / "data")
+    data = target / "data"
+    _check_version(data)
+    (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
+    _adapt_skin(data / "skins")
+    _adapt_fonts(data / "ttf")
     check_files(target)
     write_marker(target, package.name, headless=False)
 
@@ -126,30 +134,24 @@ def _private_options(work: Path) -> list[str]:
     return [word for name, value in settings.items() for word in ("-o", f"{name}={value}")]
 
 
-def _apt(program: str, *words: str, **options: Any) -> str:
-    """Runs one of apt's programs and returns its output."""
-    variables = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
-    return _run([program, *words], environment=variables, **options)
-
-
 def _download(work: Path, progress: Progress) -> Path:
     """Downloads the package. The machine's package lists may be missing or out of date."""
     options = _private_options(work)
     progress.begin("fetching the package lists")
     try:
-        _apt("apt-get", *options, "update", folder=work)
+        _run(["apt-get", *options, "update"], folder=work)
     except AssetError as error:
         progress.note(f"some package lists could not be fetched ({error})")
-    shown = _apt("apt-cache", *options, "show", "--no-all-versions", PACKAGE, folder=work)
-    record = message_from_string(shown)
+    show = ["apt-cache", *options, "show", "--no-all-versions", PACKAGE]
+    record = message_from_string(_run(show, folder=work))
     try:
         size, unpacked = int(record["Size"]), 1024 * int(record["Installed-Size"])
     except (TypeError, ValueError) as error:
         raise AssetError(f"the package lists do not know {PACKAGE} ({error!r}).") from error
     check_space(work, size + unpacked + 150_000_000, "the game's data")
     progress.begin(f"downloading {PACKAGE} {record['Version']}", size)
-    words = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
-    _apt(*words, folder=work, watch=lambda: progress.reach(_size_of_packages(work)))
+    words = ["apt-get", *options, "download", PACKAGE]
+    _run(words, folder=work, watch=lambda: progress.reach(_size_of_packages(work)))
     packages = sorted(work.glob("*.deb"))
     if len(packages) != 1 or packages[0].stat().st_size != size:
         raise AssetError(f"`{' '.join(words)}` downloaded no complete package.")
@@ -161,17 +163,8 @@ def _size_of_packages(work: Path) -> int:
     return sum(path.stat().st_size for path in work.glob("*.deb*"))
 
 
-def unpack_package(package: Path, target: Path, progress: Progress) -> None:
-    """Unpacks the data folder of a ``.deb`` file.
-
-    Args:
-        package: the ``.deb`` file.
-        target: an existing folder in which ``data`` is created.
-        progress: receives progress reports.
-
-    Raises:
-        AssetError: the package is broken or has other content.
-    """
+def _unpack(package: Path, target: Path, progress: Progress) -> None:
+    """Unpacks the data folder of a ``.deb`` file into an existing folder."""
     progress.begin(f"unpacking {package.name}")
     file = str(package.absolute())
     with fresh_folder(target, "package") as whole:
@@ -180,25 +173,6 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
         if not (whole / _INSIDE).is_dir():
             raise AssetError(f"{package} has no files in {_INSIDE}.")
         (whole / _INSIDE).replace(target / "data")
-
-
-def _adapt(data: Path) -> None:
-    """Changes Debian's data so that the engine accepts it.
-
-    It differs from what the engine needs in three points: the empty file that names the version,
-    the skin ``classic``, and the fonts, which are links to files of other packages. All files that
-    affect a race are identical.
-
-    Args:
-        data: the data folder.
-
-    Raises:
-        AssetError: the data is of another version, or has no skin or no font.
-    """
-    _check_version(data)
-    (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
-    _adapt_skin(data / "skins")
-    _adapt_fonts(data / "ttf")
 
 
 def _check_version(data: Path) -> None:
