@@ -56,18 +56,18 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
     """
     check_files(source)
     files = list(_files(source / "data"))
-    kept = sum(size for path, size in files if _kind(path) == "keep")
+    kept = sum(path.stat().st_size for path in files if _kind(path) == "keep")
     check_space(target, kept + 32_000_000, "the headless pack")
     progress.begin("building the headless pack", kept)
-    placeholders = _placeholders(target, [path for path, _ in files])
+    placeholders = _placeholders(target, files)
     done = 0
-    for path, size in files:
+    for path in files:
         goal = target / "data" / path.relative_to(source / "data")
         media = _kind(path)
         goal.parent.mkdir(parents=True, exist_ok=True)
         link_or_copy(placeholders.get(media, path), goal)
         if media == "keep":
-            done += size
+            done += path.stat().st_size
             progress.reach(done)
     for file in placeholders.values():
         file.unlink()
@@ -91,12 +91,9 @@ def _placeholders(root: Path, files: list[Path]) -> dict[str, Path]:
     return placeholders
 
 
-def _files(data: Path) -> Iterator[tuple[Path, int]]:
+def _files(data: Path) -> Iterator[Path]:
     for folder, _, names in os.walk(data, followlinks=True):
-        for name in names:
-            path = Path(folder, name)
-            if path.is_file():
-                yield path, path.stat().st_size
+        yield from filter(Path.is_file, (Path(folder, name) for name in names))
 
 
 def _kind(path: Path) -> str:

@@ -19,12 +19,7 @@ from stkzoo.engine.assets.find import (
 )
 from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
 from stkzoo.engine.assets.scenes import SCENES_VERSION
-from stkzoo.engine.assets.staging import (
-    Progress,
-    fresh_folder,
-    lock,
-    publish,
-)
+from stkzoo.engine.assets.staging import Progress, fresh_folder, lock, publish
 from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
 from stkzoo.errors import AssetError
 
@@ -67,7 +62,7 @@ def install(
             _make(own_folder("headless"), lambda tree: read_archive(archive, tree, progress))
     elif os.environ.get(DATADIR_VARIABLE) and not replace:
         progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
-    elif replace or not _is_complete():
+    elif replace or not _has_full_data() or _source_of_pack(replace) is not None:
         with _changing_the_cache(progress):
             _ensure_full_data(source, replace, progress)
             _ensure_pack(replace, progress)
@@ -138,19 +133,16 @@ def _changing_the_cache(progress: Progress) -> Iterator[None]:
         ) from error
 
 
-def _is_complete() -> bool:
-    """Returns whether the full data and the headless pack are there, so nothing must change."""
+def _has_full_data() -> bool:
     with contextlib.suppress(AssetError):
         find_assets(graphics=True)
-        return _source_of_pack(replace=False) is None
+        return True
     return False
 
 
 def _ensure_full_data(source: str, replace: bool, progress: Progress) -> None:
-    if not replace:
-        with contextlib.suppress(AssetError):
-            find_assets(graphics=True)
-            return
+    if not replace and _has_full_data():
+        return
     problems = []
     for name, fetch in (("debian", _fetch_package), ("upstream", fetch_upstream)):
         if source in ("auto", name):
@@ -180,7 +172,6 @@ def _make(folder: Path, fill: Callable[[Path], object]) -> None:
     Args:
         folder: the folder.
         fill: function that fills a temporary folder with the data.
-        progress: receives progress reports.
     """
     with fresh_folder(cache_folder()) as tree:
         fill(tree)

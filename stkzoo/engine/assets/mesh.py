@@ -60,11 +60,6 @@ class _MeshReader:
         self.at += length
         return self.data[self.at - length : self.at].decode("latin-1")
 
-    def array(self, dtype: str, count: int) -> npt.NDArray[np.generic]:
-        values = np.frombuffer(self.data, dtype, count, self.at)
-        self.at += values.nbytes
-        return values
-
 
 def read_mesh(path: str | Path) -> list[Part]:
     """Reads the parts of a mesh.
@@ -119,7 +114,8 @@ def _part(file: _MeshReader, textures: list[tuple[str, str]]) -> Part:
     starts = _starts(file, vertices, before, after, with_colors=bool(flags & _COLORS))
     raw = np.frombuffer(file.data, np.uint8)
     corners = raw[starts[:, None] + np.arange(12)].copy().view("<f4")
-    triangles = file.array("<u2" if vertices > 255 else "u1", indices)
+    triangles = np.frombuffer(file.data, "<u2" if vertices > 255 else "u1", indices, file.at)
+    file.at += triangles.nbytes
     shaped = triangles.astype(np.intp).reshape(-1, 3)
     if len(shaped) and shaped.max() >= vertices:
         raise ValueError(f"a triangle has the corner {shaped.max()} of {vertices}")

@@ -100,19 +100,15 @@ def publish(staging: Path, target: Path) -> None:
     Raises:
         AssetError: ``target`` contains files that stkzoo did not make.
     """
-    if target.is_dir() and any(target.iterdir()):
-        if not (target / MARKER).is_file():
-            raise AssetError(
-                f"{target} holds files that stkzoo did not make. Move them away, or set "
-                f"STKZOO_CACHE to another folder."
-            )
-        with fresh_folder(target.parent, "old") as old:
+    with fresh_folder(target.parent, "old") as old:
+        if target.is_dir() and any(target.iterdir()):
+            if not (target / MARKER).is_file():
+                raise AssetError(
+                    f"{target} holds files that stkzoo did not make. Move them away, or set "
+                    f"STKZOO_CACHE to another folder."
+                )
             target.rename(old / "tree")
-            staging.rename(target)
-        return
-    if target.is_dir():
-        target.rmdir()
-    staging.rename(target)
+        staging.rename(target)
 
 
 def link_or_copy(path: Path, goal: Path) -> None:
