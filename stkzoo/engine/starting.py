@@ -83,6 +83,9 @@ def put_karts(
 class _Place:
     """The place of a kart's start in the world frame.
 
+    Attributes:
+        led: how far along the road the kart is on the way to its place [m].
+
     Raises:
         ConfigError: the start is off the road or beyond the lap, or its speed is too high.
     """
@@ -96,11 +99,9 @@ class _Place:
                 f"{top:.0f} m/s at difficulty {setup.difficulty}"
             )
         self.side = ((kart + 0.5) / len(setup.starts) - 0.5) * 3.0
-        self.distance = (
-            float(start.distance)
-            if start.distance is not None
-            else float(start.share or 0.0) * road.length
-        ) - start.behind
+        share = float(start.share or 0.0)
+        place = share * road.length if start.distance is None else float(start.distance)
+        self.distance = self.led = place - start.behind
         if not -road.length / 2 < self.distance <= road.length:
             raise ConfigError(
                 f"the start of kart {kart} is at {self.distance:.1f} m, expected at most "
@@ -116,11 +117,10 @@ class _Place:
         yaw = math.atan2(along[0], along[2])
         right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
         self.point = road.point(self.distance) + start.offset * right
-        self.rotation = _rotation_of(
-            yaw + start.heading, math.asin(along[1]) * math.cos(start.heading)
-        )
+        heading = yaw + start.heading
+        self.rotation = _rotation_of(heading, math.asin(along[1]) * math.cos(start.heading))
         self.stand = self.point
-        self.ahead = np.array([math.sin(yaw + start.heading), 0.0, math.cos(yaw + start.heading)])
+        self.ahead = np.array([math.sin(heading), 0.0, math.cos(heading)])
 
     def is_near(self, kart: Any) -> bool:
         """Returns whether a kart of the engine is at this place."""
@@ -165,34 +165,31 @@ def _lead(mover: _Mover, road: CenterLine, places: list[_Place]) -> None:
     lower.
     """
     for height in _LED_HEIGHTS:
-        distances = [min(-_BEFORE_LINE, place.distance) for place in places]
+        for place in places:
+            place.led = min(-_BEFORE_LINE, place.distance)
         is_there = False
         while not is_there:
-            is_there = all(d >= p.distance for d, p in zip(distances, places, strict=True))
-            for place, distance in zip(places, distances, strict=True):
-                along = road.direction(distance)
+            is_there = all(place.led >= place.distance for place in places)
+            for place in places:
+                along = road.direction(place.led)
                 rotation = _rotation_of(math.atan2(along[0], along[2]), 0.0)
-                mover.put(place.kart, _led_point(road, place, distance, height), rotation)
+                mover.put(place.kart, _led_point(road, place, place.led, height), rotation)
             mover.tick()
             items = np.array([item.location for item in mover.world.items], np.float64)
-            distances = [
-                _next(road, place, distance, height, items.reshape(-1, 3))
-                for place, distance in zip(places, distances, strict=True)
-            ]
+            for place in places:
+                place.led = _next(road, place, height, items.reshape(-1, 3))
         if all(mover.world.karts[p.kart].finished_laps >= 0 for p in places if p.distance > 1.0):
             return
 
 
-def _next(
-    road: CenterLine, place: _Place, distance: float, height: float, items: FloatArray
-) -> float:
+def _next(road: CenterLine, place: _Place, height: float, items: FloatArray) -> float:
     """Returns the distance of a kart in the next tick [m], if possible one without items."""
     for stride in _STRIDES:
-        ahead = min(distance + stride, place.distance)
+        ahead = min(place.led + stride, place.distance)
         point = _led_point(road, place, ahead, height)
         if (np.linalg.norm(items - point, axis=1) > _ITEM_REACH).all():
             return ahead
-    return min(distance + _STRIDES[0], place.distance)
+    return min(place.led + _STRIDES[0], place.distance)
 
 
 def _led_point(road: CenterLine, place: _Place, distance: float, height: float) -> FloatArray:
