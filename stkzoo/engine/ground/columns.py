@@ -33,7 +33,7 @@ _FLAT, _STEEP = 0.35, 0.8
 _HEIGHTS = (0.45, 0.8)
 #: Horizontal directions (x, z) in which walls are searched from the center of a column.
 _ACROSS = np.array([[1.0, 0.0], [0.0, 1.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
-#: Number of pairs of a face and a column that are processed together.
+#: About how many pairs of a face and a column are processed together.
 _CHUNK = 400_000
 
 
@@ -123,13 +123,11 @@ class Ground:
         at = (level[is_kept], *np.divmod(cell[is_kept], near.shape[1]))
         self._heights[at] = height
         self._speeds[at] = faces.speed[who]
-        is_slowed = faces.speed[who] < 1.0
-        kinds = np.select(
-            [faces.is_reset[who], faces.is_zipper[who], is_slowed],
+        self._kinds[at] = np.select(
+            [faces.is_reset[who], faces.is_zipper[who], faces.speed[who] < 1.0],
             [GroundKind.VOID, GroundKind.ZIPPER, GroundKind.SLOWED],
             GroundKind.GROUND,
         )
-        self._kinds[at] = kinds
 
     def _raise_walls(self, corners: FloatArray, normals: FloatArray, steep: IntArray) -> None:
         """Marks the levels on which karts collide with a face."""
@@ -217,19 +215,15 @@ class _Near:
         matters = np.flatnonzero((near > 0) & sizes.all(1))
         who, first, sizes = who[matters], first[matters], sizes[matters]
         counts = sizes.prod(1)
-        ends = np.cumsum(counts)
-        begin = 0
-        while begin < len(who):
-            done = ends[begin - 1] if begin else 0
-            end_ = max(int(np.searchsorted(ends, done + _CHUNK)), begin + 1)
-            part = slice(begin, end_)
-            face = np.repeat(np.arange(begin, end_), counts[part])
-            place = np.arange(len(face)) - np.repeat(ends[part] - counts[part] - done, counts[part])
+        chunk = np.cumsum(counts) // _CHUNK
+        for part in np.split(np.arange(len(who)), np.flatnonzero(np.diff(chunk)) + 1):
+            face = np.repeat(part, counts[part])
+            begins = np.cumsum(counts[part]) - counts[part]
+            place = np.arange(len(face)) - np.repeat(begins, counts[part])
             rows = first[face, 0] + place // sizes[face, 1]
             columns = first[face, 1] + place % sizes[face, 1]
             is_near = np.isfinite(self._lowest[rows, columns])
             yield who[face[is_near]], rows[is_near], columns[is_near]
-            begin = end_
 
 
 def _normals(corners: FloatArray) -> FloatArray:
