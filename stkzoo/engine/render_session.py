@@ -15,11 +15,7 @@ import numpy.typing as npt
 
 from stkzoo._turns import CallTurn
 from stkzoo.engine import wire
-from stkzoo.engine.process import (
-    DRAWING_START_TIMEOUT,
-    SpawnedProcess,
-    explain_os_errors,
-)
+from stkzoo.engine.process import DRAWING_START_TIMEOUT, SpawnedProcess, explain_os_errors
 from stkzoo.engine.session import ProcessSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError, EngineCrashed
@@ -30,6 +26,10 @@ TICK = 1 / 60
 #: Debian packages that drawing without a display needs.
 GRAPHICS_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 
+
+#: Time limits for the images of one moment, and for the first images, because shaders are slow
+#: without a graphics card [s].
+_TIMEOUT, _FIRST_TIMEOUT = 30.0, 300.0
 
 #: Disables this filter, with which Mesa's software renderer can hang for a minute.
 _NO_ANISOTROPY = "-GL_EXT_texture_filter_anisotropic -GL_ARB_texture_filter_anisotropic"
@@ -93,8 +93,6 @@ class RenderSession(ProcessSession):
         preset: graphics quality: ``"ld"``, ``"sd"`` or ``"hd"``, or a mapping of fields of
             ``pystk2.GraphicsConfig``.
         has_window: show the game's window; otherwise the game draws off screen.
-        timeout: time limit for the images of one moment [s]. The limit for the first images is
-            ten times as long, because shaders are slow without a graphics card.
     """
 
     def __init__(
@@ -104,7 +102,6 @@ class RenderSession(ProcessSession):
         preset: str | dict[str, Any] = "ld",
         *,
         has_window: bool = False,
-        timeout: float = 30.0,
     ) -> None:
         fields: dict[str, Any] = {"preset": preset} if isinstance(preset, str) else dict(preset)
         fields |= {"render": True, "display": has_window}
@@ -117,7 +114,6 @@ class RenderSession(ProcessSession):
         self._root, self._graphics = root, json.dumps(fields)
         self._has_window = has_window
         self._turn = CallTurn()
-        self._timeout = timeout
 
     def start(self, setup: RaceSetup) -> None:
         """Starts the race to draw, with its karts on the grid.
@@ -134,7 +130,7 @@ class RenderSession(ProcessSession):
         if is_new:
             with explain_os_errors():
                 self._process = SpawnedProcess(self._root, "render_process", self._variables())
-            self._timeouts[wire.DRAW] = 10 * self._timeout
+            self._timeouts[wire.DRAW] = _FIRST_TIMEOUT
         try:
             self._request(wire.BEGIN, setup.to_json())
         except EngineCrashed as error:
@@ -179,7 +175,7 @@ class RenderSession(ProcessSession):
         moments = np.ascontiguousarray(poses, np.float32).tobytes()
         request = json.dumps(wishes).encode()
         shapes, *blocks = self._request(wire.DRAW, request, moments)
-        self._timeouts[wire.DRAW] = self._timeout
+        self._timeouts[wire.DRAW] = _TIMEOUT
         kinds: tuple[type[Any], ...] = np.uint8, np.float32, np.float32
         parts = zip(blocks, kinds, json.loads(shapes), strict=True)
         return Footage(*(np.frombuffer(data, dtype).reshape(shape) for data, dtype, shape in parts))
@@ -195,13 +191,13 @@ class RenderSession(ProcessSession):
                     self.close()
 
     def _variables(self) -> dict[str, str]:
-        graphics = {"STKZOO_GRAPHICS": self._graphics}
-        if sys.platform != "linux":
-            return graphics
-        mesa = {} if has_graphics_card() else {"MESA_EXTENSION_OVERRIDE": _NO_ANISOTROPY}
-        if not self._has_window:
-            return {"SDL_VIDEODRIVER": "offscreen", **mesa, **graphics}
-        return {**mesa, **_window_variables(), **graphics}
+        variables = {"STKZOO_GRAPHICS": self._graphics}
+        if sys.platform == "linux":
+            if not has_graphics_card():
+                variables["MESA_EXTENSION_OVERRIDE"] = _NO_ANISOTROPY
+            offscreen = {"SDL_VIDEODRIVER": "offscreen"}
+            variables |= _window_variables() if self._has_window else offscreen
+        return variables
 
 
 def _window_variables() -> dict[str, str]:
