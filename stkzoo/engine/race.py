@@ -14,13 +14,7 @@ import numpy.typing as npt
 from stkzoo._schema import plain_name
 from stkzoo.config import NORMAL, TIME_TRIAL
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import (
-    CONTROLS,
-    HEADER_DTYPE,
-    ITEM_DTYPE,
-    KART_DTYPE,
-    Snapshot,
-)
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.starting import put_karts
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
@@ -168,7 +162,7 @@ class GameRace:
         return RaceStart(
             kart_types=tuple(kart.kart_type for kart in self._world.karts),
             track=encode_track(track),
-            snapshot=Snapshot(self._stepper.read(True)),
+            snapshot=Snapshot(self._stepper.read()),
         )
 
     def step(self, controls: bytes | npt.NDArray[np.float32]) -> Snapshot:
@@ -213,15 +207,15 @@ class GameRace:
                 self._reporting,
                 np.flatnonzero([not kart.is_bot for kart in self._setup.karts]),
             )
-            is_right = stepper.read(True) == self.read_attributes(True).data
+            is_right = stepper.read() == self.read_attributes().data
         except (AttributeError, TypeError, ValueError):
             is_right = False
         if not is_right:
             raise EngineError(f"this PySuperTuxKart2 lays out its state differently; {_REMEDY}")
         return stepper
 
-    def read_attributes(self, is_running: bool) -> Snapshot:
-        """Reads the current snapshot from the engine's attributes, one by one.
+    def read_attributes(self) -> Snapshot:
+        """Reads the snapshot of a race that is running from the engine's attributes, one by one.
 
         A step reads the engine's block of memory, which is much faster, but whose layout the engine
         does not guarantee.
@@ -234,7 +228,7 @@ class GameRace:
             karts[kart]["control"] = [float(getattr(action, name)) for name in CONTROLS]
         phase = self._phases.get(world.phase, Phase.RACE_PHASE)
         times = world.time, world.aux_ticks
-        header = np.array([(*times, phase, len(karts), len(items), is_running)], HEADER_DTYPE)
+        header = np.array([(*times, phase, len(karts), len(items), True)], HEADER_DTYPE)
         return Snapshot.of(header[0], karts, items)
 
 
@@ -263,12 +257,11 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
     config.players.clear()
     kinds = pystk2.PlayerConfig
     for kart in setup.karts:
+        who = "AI_CONTROL" if kart.is_bot else "PLAYER_CONTROL"
         player = kinds(
             kart=kart.kart,
             name=plain_name(kart.name, _LONGEST_NAME),
-            controller=kinds.Controller.AI_CONTROL
-            if kart.is_bot
-            else kinds.Controller.PLAYER_CONTROL,
+            controller=getattr(kinds.Controller, who),
             camera_mode=kinds.CameraMode(kart.camera_mode if has_cameras else CameraMode.OFF),
             color=kart.color,
         )

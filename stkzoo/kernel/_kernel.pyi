@@ -44,8 +44,8 @@ class GameStepper:
         Returns:
             The bytes of a :class:`~stkzoo.engine.snapshot.Snapshot` after the step.
         """
-    def read(self, is_running: bool) -> bytes:
-        """Returns the bytes of a snapshot of the current state."""
+    def read(self) -> bytes:
+        """Returns the bytes of a snapshot of the current state of a race that is running."""
     def serve(self, fd: int) -> bytes:
         """Serves step requests on a packet socket until another request arrives; returns that one.
 

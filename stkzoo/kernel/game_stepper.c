@@ -265,11 +265,10 @@ static PyObject *read_now(GameStepper *self, int is_running)
     return data;
 }
 
-/* read(is_running): returns the current snapshot as bytes. */
-static PyObject *stepper_read(PyObject *self, PyObject *is_running)
+/* read(): returns the current snapshot of a race that is running as bytes. */
+static PyObject *stepper_read(PyObject *self, PyObject *Py_UNUSED(nothing))
 {
-    const int running = PyObject_IsTrue(is_running);
-    return running < 0 ? NULL : read_now((GameStepper *)self, running);
+    return read_now((GameStepper *)self, 1);
 }
 
 /* Applies controls, (P, 7) float32, advances the race by a step and returns the next snapshot. */
@@ -408,4 +407,4 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
 
 KERNEL_TYPE(GameStepper, stepper, "Advances a race of the engine and reads its state.",
             {"step", stepper_step, METH_O, "Advances the race by a step; returns the snapshot."},
-            {"read", stepper_read, METH_O, "Returns the current snapshot."} SERVE)
+            {"read", stepper_read, METH_NOARGS, "Returns the current snapshot."} SERVE)

@@ -228,7 +228,7 @@ def test_a_block_with_too_few_items_is_refused():
     stepper = kernel.GameStepper(functions, world, *rest)
     world.block = world.block[:-ITEM_SIZE] + struct.pack("<i", 2**31 - 1)
     with pytest.raises(ValueError, match="too short for its items"):
-        stepper.read(True)
+        stepper.read()
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ PROGRAM = """
     controls = np.zeros((0, 7), np.float32)
     steps, numbers_of_items, finished = 0, set(), 0
     while (snapshot := session.step(controls)).running and steps < 700:
-        if snapshot != session._race.read_attributes(True):
+        if snapshot != session._race.read_attributes():
             raise SystemExit(f"step {steps}: they differ")
         steps += 1
         numbers_of_items.add(len(snapshot.items))
@@ -92,7 +92,7 @@ def test_the_block_matches_the_attributes_in_all_phases_and_for_bots():
     for _ in range(45):
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
         env.step(actions)
-        karts, seen = env.snapshot.karts.copy(), race.read_attributes(True)
+        karts, seen = env.snapshot.karts.copy(), race.read_attributes()
         for number in (1, 2):  # the engine does not tell the controls of players
             controls = karts[env.race.kart_indices[number]]["control"]
             sent = [float(np.ravel(actions[f"kart_{number}"][name])[0]) for name in CONTROLS]
