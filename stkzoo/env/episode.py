@@ -318,15 +318,15 @@ def _kernel_part(
 ) -> tuple[tuple[str, ...], FloatArray, IntArray]:
     """Returns the built-in terms of a reward, their weights, and their columns among all terms."""
     terms = {name: term for name, term in reward.terms.items() if isinstance(term, KernelTerm)}
-    weights = np.array([reward.weights.get(name, 1.0) for name in terms], np.float64)
+    weights = np.array([reward.weight_of(name) for name in terms], np.float64)
     columns = np.array([names.index(name) for name in terms], np.intp)
     return tuple(term.name for term in terms.values()), weights, columns
 
 
 def _limits(reward: Reward, names: Sequence[str]) -> list[float]:
     """Returns the limit of each weighted term, infinite if it has none [1/s]."""
-    limits, weights = reward.limits, reward.weights
-    return [limits.get(name, np.inf) * abs(weights.get(name, 1.0) or 1.0) for name in names]
+    limits = reward.limits
+    return [limits.get(name, np.inf) * abs(reward.weight_of(name) or 1.0) for name in names]
 
 
 class Endings:

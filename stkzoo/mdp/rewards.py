@@ -154,7 +154,11 @@ class Reward:
                 f"reward term {name!r} returned {shortened(returned)}, expected an array of shape "
                 f"{shape}: a finite number for each kart"
             )
-        return value.astype(np.float64) * float(self.weights.get(name, 1.0))
+        return value.astype(np.float64) * self.weight_of(name)
+
+    def weight_of(self, name: str) -> float:
+        """Returns the weight of a term."""
+        return float(self.weights.get(name, 1.0))
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """Returns a copy with changed weights (numbers) and added or replaced terms (functions).
