@@ -12,6 +12,7 @@ from gymnasium.vector import VectorWrapper
 
 from stkzoo import RaceVectorEnv
 from stkzoo.kernel import split_batch
+from stkzoo.views import write_rows
 
 from . import BoolArray, IntArray
 
@@ -86,7 +87,7 @@ class MirroredRaces(VectorWrapper):
             return self.view.observe(seen), rewards, terminations, truncations, infos
         last, slots = copy.deepcopy(seen), np.flatnonzero(ended).tolist()
         for slot in slots:
-            _write(last, slot, infos["final_obs"][slot])
+            write_rows(last, np.array([slot]), infos["final_obs"][slot])
         observations = self.view.observe(last)
         rows = split_batch(observations, tuple(range(self.num_envs)))
         for slot in slots:
@@ -100,12 +101,3 @@ class MirroredRaces(VectorWrapper):
 
     def _begin(self, slots: IntArray) -> None:
         self.view.begin(slots, self._random.random(len(slots)) < self._mirror_share)
-
-
-def _write(batch: Any, row: int, value: Any) -> None:
-    """Writes a value into a row of a batch, an array or a dict of arrays."""
-    if isinstance(batch, dict):
-        for key, part in value.items():
-            batch[key][row] = part
-    else:
-        batch[row] = value

@@ -8,7 +8,7 @@ import sys
 from types import ModuleType
 
 from stkzoo.views.chains import AgentChains
-from stkzoo.views.plan import ViewPlan
+from stkzoo.views.plan import ViewPlan, write_rows
 from stkzoo.views.registry import (
     CAMERA_VIEWS,
     VIEWS,
@@ -39,6 +39,7 @@ __all__ = [
     "options_of",
     "views",
     "views_of_agents",
+    "write_rows",
 ]
 __dir__ = __all__.copy
 
