@@ -78,9 +78,7 @@ def draw_race(
             those of the opponents.
     """
     track = tracks[int(random.integers(len(tracks)))]
-    reverse = options.reverse
-    if reverse is None:
-        reverse = bool(random.integers(2))
+    reverse = bool(random.integers(2)) if options.reverse is None else options.reverse
     seed = int(random.integers(2**16))
     everyone = [*agents, *opponents]
     kart_indices = _draw_places(everyone, options.num_kart, random)

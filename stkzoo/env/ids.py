@@ -128,9 +128,8 @@ class RaceSpec(EnvSpec):
     @classmethod
     def of(cls, spec: EnvSpec) -> RaceSpec:
         """Returns a spec with the same fields."""
-        return cls(
-            **{field.name: getattr(spec, field.name) for field in fields(spec) if field.init}
-        )
+        values = {field.name: getattr(spec, field.name) for field in fields(spec) if field.init}
+        return cls(**values)
 
     @property
     def max_episode_steps(self) -> int | None:

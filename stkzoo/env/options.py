@@ -145,12 +145,10 @@ class RaceOptions:
         Raises:
             ConfigError: a requested track does not exist.
         """
-        if self.track is None or self.track == "all":
+        track = self.track
+        if track is None or track == "all":
             return tuple(known)
-        if isinstance(self.track, str):
-            chosen: Sequence[str] = SPLITS.get(self.track, (self.track,))
-        else:
-            chosen = self.track
+        chosen = SPLITS.get(track, (track,)) if isinstance(track, str) else track
         if not chosen:
             raise ConfigError("track is an empty list, expected at least one name")
         for name in chosen:

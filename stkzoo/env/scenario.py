@@ -191,11 +191,8 @@ def _check(scenario: Scenario) -> None:
     low = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     if (controls < low).any() or (controls > 1.0).any():
         raise Unreadable("controls are out of range")
-    options = {
-        name: getattr(setup, name)
-        for name in ("laps", "difficulty", "reverse", "mode", "step_size")
-    }
-    RaceOptions(num_kart=len(setup.karts), **options)
+    names = "laps", "difficulty", "reverse", "mode", "step_size"
+    RaceOptions(num_kart=len(setup.karts), **{name: getattr(setup, name) for name in names})
     if len(setup.starts) not in (0, len(setup.karts)):
         raise Unreadable(f"there are {len(setup.starts)} starts for {len(setup.karts)} karts")
     check_whole("seed", setup.seed, 0, 2**31 - 1)

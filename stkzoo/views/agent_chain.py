@@ -179,7 +179,8 @@ class AgentChain:
             self.base_observation_space = compiled.observation_space
             self.base_action_space = compiled.action_space
         if compiled is not None and walked:
-            self._mono.replace(compiled)
+            # Outer wrappers still have access to it; only its `reset` and `step` are bypassed.
+            compiled.reset, compiled.step = self._mono.reset, self._mono.step
         self._set_wrappers(tuple(walked))
         return plan
 

@@ -98,9 +98,8 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
     its wrappers.
     """
     if isinstance(view, View):
-        return tuple(
-            dict.fromkeys(name for parameters in view.wrappers for name in options_of(parameters))
-        )
+        names = (name for wrapper in view.wrappers for name in options_of(wrapper))
+        return tuple(dict.fromkeys(names))
     if isinstance(view, partial):
         return options_of(view.func)
     is_class = isinstance(view, type)

@@ -58,13 +58,6 @@ class MonoAgentEnv(gym.Env[Any, Any]):
         self.observation_space, self.action_space = observation_space, action_space
         self.camera = camera
 
-    def replace(self, wrapper: gym.Wrapper[Any, Any, Any, Any]) -> None:
-        """Replaces a wrapper that the kernel runs, with all wrappers inside it.
-
-        Outer wrappers still have access to it; only ``reset`` and ``step`` bypass it.
-        """
-        wrapper.reset, wrapper.step = self.reset, self.step  # type: ignore[method-assign]
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
