@@ -4,9 +4,9 @@ The module of a command has
 
 - a docstring, whose first line is the command's summary in ``stkzoo --help``. The rest is its
   description in ``stkzoo COMMAND --help``, which shows the part from ``exit codes:`` at the end;
-- ``run(arguments)``, which runs the command and returns the exit code. The annotation of
-  ``arguments`` is a dataclass, whose fields are the command's options (:mod:`stkzoo._arguments`).
-  A ``ConfigError`` is reported as an invalid command line;
+- ``run(arguments)``, which runs the command and returns the exit code, or ``None`` for 0. The
+  annotation of ``arguments`` is a dataclass, whose fields are the command's options
+  (:mod:`stkzoo._arguments`). A ``ConfigError`` is reported as an invalid command line;
 - or, instead of ``run``, ``ACTIONS``: such a function for each action of the command, such as
   ``install`` of ``stkzoo assets install``, with the action's name and docstring. A command with
   options before the action also has ``add_arguments(parser)``, and one whose options have other
@@ -128,7 +128,7 @@ def _add_command(
 
     def run_parsed(values: argparse.Namespace) -> int:
         try:
-            return int(run(owner(**values_of(values, owner))))
+            return int(run(owner(**values_of(values, owner))) or 0)
         except ConfigError as error:
             parser.fail(plain_text(str(error)))  # it may name strange files
 

@@ -83,7 +83,7 @@ class CleanArguments:
     yes: bool = False
 
 
-def _status(arguments: StatusArguments) -> int:  # noqa: ARG001 - it has no options
+def _status(arguments: StatusArguments) -> None:  # noqa: ARG001 - it has no options
     """Show where the data is.
 
     Shows where stkzoo searches for the game's data and what it finds. Fails if headless races
@@ -96,7 +96,6 @@ def _status(arguments: StatusArguments) -> int:  # noqa: ARG001 - it has no opti
     show_table(("place", "folder", "what is there", "size"), rows, title="The game's data")
     assets = find_assets()
     print(f"Headless races use the {assets.source}: {assets.root}")
-    return 0
 
 
 def _describe(report: PlaceReport) -> str:
@@ -106,7 +105,7 @@ def _describe(report: PlaceReport) -> str:
     return f"{contents}: {len(report.assets.tracks)} tracks, {len(report.assets.karts)} karts"
 
 
-def _install(arguments: InstallArguments) -> int:
+def _install(arguments: InstallArguments) -> None:
     """Install the data, with a download if needed.
 
     Uses the data on this machine or downloads it, and builds the headless pack. The download is
@@ -123,10 +122,9 @@ def _install(arguments: InstallArguments) -> int:
     with Bars() as bars:
         assets = install(**vars(arguments), progress=ConsoleProgress(bars))
     print(f"Ready: {len(assets.tracks)} tracks and {len(assets.karts)} karts in {assets.root}")
-    return 0
 
 
-def _pack(arguments: PackArguments) -> int:
+def _pack(arguments: PackArguments) -> None:
     """Build the headless pack, or write it to a file.
 
     Builds the headless pack from the full data.
@@ -134,7 +132,6 @@ def _pack(arguments: PackArguments) -> int:
     with Bars() as bars:
         path = pack(**vars(arguments), progress=ConsoleProgress(bars))
     print(f"Ready: {path}")
-    return 0
 
 
 def _clean(arguments: CleanArguments) -> int:

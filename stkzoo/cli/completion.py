@@ -33,7 +33,7 @@ class CompletionArguments:
     shell: str = positional(choices=_SHELLS, metavar="SHELL")
 
 
-def run(arguments: CompletionArguments) -> int:
+def run(arguments: CompletionArguments) -> None:
     """Prints the completion script."""
     from stkzoo.cli import build_parser
 
@@ -41,7 +41,6 @@ def run(arguments: CompletionArguments) -> int:
     parser = build_parser()
     _complete_files(parser, shtab.FILE)
     print(shtab.complete(parser, shell=arguments.shell))
-    return 0
 
 
 def _complete_files(parser: argparse.ArgumentParser, files: Any) -> None:

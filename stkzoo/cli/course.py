@@ -49,7 +49,7 @@ class CourseArguments:
     wheels: tuple[Path, ...] = option((), flag="--wheel", metavar="FILE")
 
 
-def run(arguments: CourseArguments) -> int:
+def run(arguments: CourseArguments) -> None:
     """Creates the kit and prints what to do next."""
     folder = make_empty(arguments.folder).resolve()
     with tempfile.TemporaryDirectory(prefix=".stkzoo-", dir=folder) as work, Bars() as bars:
@@ -69,7 +69,6 @@ def run(arguments: CourseArguments) -> int:
     print(f"Created {folder} with stkzoo {version}. Next:")
     print(f"  sh {quoted}/start\n      try it as a student, in a copy of the folder")
     print(f"  python -m zipfile -c {archive} {quoted}\n      pack it for your students")
-    return 0
 
 
 def _add_wheels(folder: Path, wheels: Sequence[Path]) -> str:

@@ -36,7 +36,6 @@ def kart_facts() -> list[dict[str, object]]:
     return facts
 
 
-def run(arguments: JsonArguments) -> int:
+def run(arguments: JsonArguments) -> None:
     """Prints a table or JSON."""
     show(kart_facts(), show_facts, as_json=arguments.json)
-    return 0

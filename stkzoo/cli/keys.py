@@ -44,19 +44,17 @@ class ShowKeyArguments:
     file: Path = positional()
 
 
-def _new(arguments: NewKeyArguments) -> int:
+def _new(arguments: NewKeyArguments) -> None:
     """Make a key pair."""
     secret, public = new_key_files(arguments.name, arguments.folder)
     print(f"{secret}  keep it secret")
     print(f"{public}  give it to the others; its text: {read_public(public)}")
-    return 0
 
 
-def _show(arguments: ShowKeyArguments) -> int:
+def _show(arguments: ShowKeyArguments) -> None:
     """Show the public key of a key file."""
     for key, name in read_publics([arguments.file]).items():
         print(f"public {key} {name}".rstrip())
-    return 0
 
 
 ACTIONS = (_new, _show)

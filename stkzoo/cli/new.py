@@ -44,7 +44,7 @@ class NewArguments:
     view: str = option("simple", metavar="NAME")
 
 
-def run(arguments: NewArguments) -> int:
+def run(arguments: NewArguments) -> None:
     """Creates the agent and prints what to do next."""
     find_driver_view(arguments.view)
     _check_name(arguments.folder)
@@ -60,7 +60,6 @@ def run(arguments: NewArguments) -> int:
         (f"python -m zipfile -c {archive} {quoted}", "make the zip to hand in"),
     ):
         print(f"  {command}\n      {purpose}")
-    return 0
 
 
 def make_empty(path: str) -> Path:

@@ -56,13 +56,13 @@ def _race(arguments: race.RaceArguments) -> int:
     return race.run(arguments, **_outputs(arguments))
 
 
-def _race_server(arguments: race_server.RaceServerArguments) -> int:
+def _race_server(arguments: race_server.RaceServerArguments) -> None:
     """Serve agents to races on this or other machines.
 
     Serves agents to races on this or other machines. `stkzoo race-server --help` describes the
     agents.
     """
-    return race_server.run(arguments)
+    race_server.run(arguments)
 
 
 def _race_client(arguments: race_client.RaceClientArguments) -> int:

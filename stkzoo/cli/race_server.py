@@ -58,7 +58,7 @@ class RaceServerArguments:
     settings: dict[str, Any] = options_of(RaceSettings, only=SETTINGS, group="agents")
 
 
-def run(arguments: RaceServerArguments) -> int:
+def run(arguments: RaceServerArguments) -> None:
     """Serves until it is stopped."""
     logging.basicConfig(
         level=logging.WARNING if arguments.quiet else logging.INFO,
@@ -74,7 +74,6 @@ def run(arguments: RaceServerArguments) -> int:
             server.serve()
         except KeyboardInterrupt:
             logger.warning("stkzoo: server stopped")
-    return 0
 
 
 def _sandbox_of(settings: RaceSettings) -> str:

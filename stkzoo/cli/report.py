@@ -36,8 +36,7 @@ class ReportArguments:
     title: str = "Tournament"
 
 
-def run(arguments: ReportArguments) -> int:
+def run(arguments: ReportArguments) -> None:
     """Writes the report."""
     page = write_report(**vars(arguments))
     say(f"Wrote {page}, and beside it standings.csv and races.csv")
-    return 0

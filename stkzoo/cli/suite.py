@@ -152,7 +152,7 @@ class SuiteReportArguments:
     output: Path = option(Path("suite", "report"), metavar="FOLDER")
 
 
-def _list(arguments: ListArguments) -> int:
+def _list(arguments: ListArguments) -> None:
     """List the tasks and the population.
 
     Shows for each task what is learned from how many kart-steps, and the races of its evaluation:
@@ -172,10 +172,9 @@ def _list(arguments: ListArguments) -> int:
     }
     as_text = _show_task if arguments.task else _show_tasks
     show(content, lambda _: as_text(tasks), as_json=arguments.json)
-    return 0
 
 
-def _train(arguments: TrainArguments) -> int:
+def _train(arguments: TrainArguments) -> None:
     """Train an agent in a task with a reference algorithm.
 
     Trains an agent with as many kart-steps as the task allows, on all cores. The folder contains
@@ -200,7 +199,6 @@ def _train(arguments: TrainArguments) -> int:
     algorithms = import_module(f"{_TRAINING}.algorithms")
     agent = algorithms.run(name, folder, task.name, kart_steps, arguments.seed)
     say(f"Trained {agent}. Evaluate it: stkzoo suite evaluate {task.name} {agent}")
-    return 0
 
 
 def _evaluate(arguments: EvaluateArguments) -> int:
@@ -264,7 +262,7 @@ def _verify(arguments: VerifyArguments) -> int:
     return code
 
 
-def _conduct(arguments: ConductArguments) -> int:
+def _conduct(arguments: ConductArguments) -> None:
     """Show how karts behave: contacts, time off the road, overtakes.
 
     Runs recorded races again, bit for bit, and counts the environment's events of each kart. The
@@ -287,10 +285,9 @@ def _conduct(arguments: ConductArguments) -> int:
         partial(show_facts, title="per race"),
         as_json=arguments.json,
     )
-    return 0
 
 
-def _report(arguments: SuiteReportArguments) -> int:
+def _report(arguments: SuiteReportArguments) -> None:
     """Write a report of trained algorithms: scores, intervals, figures.
 
     Compares trained algorithms and writes report.json (all numbers), report.md (tables), figures as
@@ -307,7 +304,6 @@ def _report(arguments: SuiteReportArguments) -> int:
     report = suite.write_suite_report(arguments.runs, arguments.output)
     runs = sum(result.runs for task in report.tasks for result in task.algorithms)
     say(f"Wrote the report of {counted(runs, 'run')} to {arguments.output / 'report.md'}")
-    return 0
 
 
 ACTIONS = (_list, _train, _evaluate, _verify, _conduct, _report)

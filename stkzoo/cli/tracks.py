@@ -48,7 +48,7 @@ class TracksArguments:
     json: bool = False
 
 
-def run(arguments: TracksArguments) -> int:
+def run(arguments: TracksArguments) -> None:
     """Prints a table or JSON."""
     names = find_tracks(arguments.tracks or "all", RaceSettings())
     facts: list[dict[str, Any]] = []
@@ -60,7 +60,6 @@ def run(arguments: TracksArguments) -> int:
     facts.sort(key=lambda fact: fact[_SORTS[arguments.sort]] or 0.0)
     title = f"Lengths in m; times in s, at difficulty {arguments.difficulty}; human world records"
     show(facts, partial(show_facts, title=title), as_json=arguments.json)
-    return 0
 
 
 def track_facts(track: str, difficulty: int) -> dict[str, Any]:
