@@ -18,7 +18,6 @@ from stkzoo._schema import matching
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
-from stkzoo.evaluation.batch.plan import batch_settings
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, benchmark_orders, plan_benchmark
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind, race_seed
@@ -244,7 +243,7 @@ def plan_entry(
         forms=("P",),
         seeds=task.seeds if is_test else 1,
         settings=replace(
-            batch_settings(settings, changes, EntryPlan.decided),
+            EntryPlan.settings_of(settings, changes),
             max_paths=None,
             adapter=None,
             teams=bool(task.teams),

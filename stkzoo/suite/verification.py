@@ -6,7 +6,6 @@ import json
 import math
 import os
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -107,6 +106,9 @@ class VerifyOrder(RaceOrder):
         if recorded.result is None or again.result is None:
             raise EntryRefused(f"step {recorded.steps} does not end the race")
         return self._compare_ends(recorded, recorded.result, again.result)
+
+    def store(self, folder: Path, result: RaceResult) -> None:
+        """Stores nothing: the entry stays as it is."""
 
     def _record(self, recorded: Replay, file: Path) -> Replay:
         """Runs the race again for at most as many steps as a recording has; returns its replay."""
@@ -277,14 +279,8 @@ def verify_entry(
     live = _live_driver(entry.plan, agent)
     orders = [VerifyOrder.of(order, digest, live) for order, digest in pairs]
     results: dict[int, RaceResult] = {}
-    problems: dict[int, str] = {}
-    with closing(run_orders(orders, place, settings, RaceResult)) as outcomes:
-        for order, result, error in outcomes:
-            if result is None:
-                problems[order.number] = f"{_name(order)}: {error}"
-            else:
-                results[order.number] = result
-    _refuse(place, [problems[number] for number in sorted(problems)])
+    errors = run_orders(orders, place, settings, results)
+    _refuse(place, [f"{_name(orders[number])}: {errors[number]}" for number in sorted(errors)])
     _compare(entry, place, read_json(text, dict[str, Any], Entry.max_bytes), results)
     return entry
 

@@ -8,7 +8,6 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.drivers import driver_names, find_driver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.plan import plan_differences
 from stkzoo.suite import TASKS, About, Entry, EntryRefused, plan_entry, verify_entry
 from stkzoo.suite.about import shipped_class
 from stkzoo.suite.entry import ENTRY_FILE, entry_orders
@@ -53,7 +52,7 @@ def test_an_evaluation_on_the_training_tracks_does_not_continue_as_an_entry():
         plan_entry("solo-general", "random"),
         plan_entry("solo-general", "random", split="train"),
     )
-    assert plan_differences(entry, other)
+    assert entry.differences(other)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +157,7 @@ def test_a_text_draws_other_races_with_other_rivals():
         plan_entry("selfplay-5", "random", fresh=text) for text in ("", "a", "a", "b")
     )
     assert one == same
-    assert plan_differences(standard, one)
+    assert standard.differences(one)
     seeds = [{race.seed for race in plan.races()} for plan in (standard, one, other)]
     assert len(set.union(*seeds)) == 3 * len(standard.races())
     strata = [[race.key for race in plan.races()] for plan in (standard, one)]

@@ -9,7 +9,6 @@ from pathlib import Path
 from stkzoo._os import write_text
 from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
-from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
@@ -35,7 +34,7 @@ class RaceOrder:
     settings: RaceSettings
     wait_for: tuple[int, ...] | None = None
 
-    def run(self, folder: Path) -> Document:  # noqa: ARG002 - orders may write more files
+    def run(self, folder: Path) -> RaceResult:  # noqa: ARG002 - orders may write more files
         """Runs the race. A worker process calls this.
 
         Args:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 from typing_extensions import Self  # a dependency of gymnasium
@@ -31,7 +31,6 @@ _MAX_SHOWN = 300
 MAX_RACES = 100_000
 #: Maximum size of the result file of a batch [bytes].
 MAX_RESULT_BYTES = 64 << 20
-Plan = TypeVar("Plan", bound="BatchPlan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +65,52 @@ class BatchPlan(Document):
         """The first agent, which is the only one of most batches."""
         return self.agents[0]
 
+    @classmethod
+    def settings_of(cls, settings: RaceSettings | None, changes: Mapping[str, Any]) -> RaceSettings:
+        """Returns the settings of all races.
+
+        Args:
+            settings: settings of the user.
+            changes: fields that replace those of ``settings``.
+
+        Raises:
+            ConfigError: a change names a field that does not exist or that the plan itself sets, or
+                a value is invalid.
+        """
+        chosen = RaceSettings.changed(settings, changes, cls.decided)
+        if chosen.error_handling == "raise":
+            raise ConfigError(
+                "error_handling is 'raise', which would end the batch at the first error; choose "
+                "retire, catch or restart"
+            )
+        if chosen.adapter is not None:
+            chosen = replace(chosen, adapter=str(Path(chosen.adapter).resolve()))
+        return chosen
+
+    @classmethod
+    def find(cls, path: str | os.PathLike[str]) -> Self | None:
+        """Returns the plan in the folder of a batch; ``None`` for other paths.
+
+        Raises:
+            ConfigError: the plan is damaged or of another kind.
+        """
+        file = Path(path) / PLAN_FILE
+        return cls.load(file) if os.path.lexists(file) else None
+
+    def check_num_races(self, count: int) -> None:
+        """Checks the number of races.
+
+        Args:
+            count: the number.
+
+        Raises:
+            ConfigError: there are too many.
+        """
+        if count > MAX_RACES:
+            raise ConfigError(
+                f"the {self.noun} has {count:,} races, expected at most {MAX_RACES:,}"
+            )
+
     def continuing(self, stored: Self) -> Self:  # noqa: ARG002 - some plans add agents
         """Returns the plan as a continuation of the one that is stored in the same folder.
 
@@ -74,81 +119,60 @@ class BatchPlan(Document):
         """
         return self
 
+    def kept(self, folder: Path) -> Self:
+        """Returns the plan to run in a folder, and stores it there.
 
-def keep_plan(plan: Plan, folder: Path) -> Plan:
-    """Returns the plan to run in a folder, and stores it there.
+        It is the plan with the stored digests of the agents' files and the stored versions.
 
-    It is the plan with the stored digests of the agents' files and the stored versions.
+        Args:
+            folder: folder of the batch.
 
-    Args:
-        plan: the requested plan.
-        folder: folder of the batch.
+        Raises:
+            ConfigError: the folder contains a plan for other races.
+        """
+        stored, kept = self.find(folder), self
+        if stored is not None:
+            plan = self.continuing(stored)
+            if differences := stored.differences(plan):
+                command = self.resume_command.format(folder=shlex.quote(str(folder)))
+                raise ConfigError(
+                    f"{folder} has another {self.noun}: {'; '.join(differences)}. Choose another "
+                    f"output, or undo the change and resume: {command}"
+                )
+            agents = (*stored.agents, *plan.agents[len(stored.agents) :])
+            kept = replace(plan, agents=agents, versions=stored.versions)
+        if kept != stored:
+            write_text(folder / PLAN_FILE, kept.to_json() + "\n")
+        return kept
 
-    Raises:
-        ConfigError: the folder contains a plan for other races.
-    """
-    stored, kept = find_plan(type(plan), folder), plan
-    if stored is not None:
-        plan = plan.continuing(stored)
-        if differences := plan_differences(stored, plan):
-            command = plan.resume_command.format(folder=shlex.quote(str(folder)))
-            raise ConfigError(
-                f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another "
-                f"output, or undo the change and resume: {command}"
-            )
-        agents = (*stored.agents, *plan.agents[len(stored.agents) :])
-        kept = replace(plan, agents=agents, versions=stored.versions)
-    if kept != stored:
-        write_text(folder / PLAN_FILE, kept.to_json() + "\n")
-    return kept
+    def differences(self, plan: Self) -> list[str]:
+        """Describes how another plan leads to other races than this stored one.
 
+        Args:
+            plan: the other plan, with the current files of its agents. It may have more agents.
 
-def find_plan(plan_type: type[Plan], path: str | os.PathLike[str]) -> Plan | None:
-    """Returns the plan in the folder of a batch; ``None`` for other paths.
+        Returns:
+            One sentence per difference.
+        """
+        count = len(self.agents)
+        differences = describe_differences(self._conditions(count), plan._conditions(count))
+        for before, now in zip(self.agents, plan.agents, strict=False):
+            changed = before.changed_files(now)
+            if changed and now.files:
+                files = shortened(changed, _MAX_SHOWN)
+                differences.append(f"the files of agent {before.label!r} have changed: {files}")
+            elif changed:
+                differences.append(f"agent {before.label!r} is no longer at {before.source}")
+        return differences
 
-    Raises:
-        ConfigError: the plan is damaged or of another kind.
-    """
-    file = Path(path) / PLAN_FILE
-    return plan_type.load(file) if os.path.lexists(file) else None
-
-
-def result_file(path: str | os.PathLike[str]) -> Path:
-    """Returns the result file in a folder; a file itself."""
-    return Path(path) / RESULT_FILE if Path(path).is_dir() else Path(path)
-
-
-def plan_differences(stored: BatchPlan, plan: BatchPlan) -> list[str]:
-    """Describes how a plan leads to other races than a stored one, which may have fewer agents.
-
-    Args:
-        stored: the stored plan.
-        plan: another plan of the same kind, with the current files of its agents.
-
-    Returns:
-        One sentence per difference.
-    """
-    count = len(stored.agents)
-    differences = describe_differences(_conditions(stored, count), _conditions(plan, count))
-    for before, now in zip(stored.agents, plan.agents, strict=False):
-        if not (changed := before.changed_files(now)):
-            continue
-        differences.append(
-            f"the files of agent {before.label!r} have changed: {shortened(changed, _MAX_SHOWN)}"
-            if now.files
-            else f"agent {before.label!r} is no longer at {before.source}"
-        )
-    return differences
-
-
-def _conditions(plan: BatchPlan, num_agents: int) -> dict[str, Any]:
-    """Returns the values that determine the races of the first agents, by name."""
-    values = plan.to_dict()
-    settings, versions = values.pop("settings"), values.pop("versions")
-    values["agents"] = [agent.text for agent in plan.agents[:num_agents]]
-    values |= {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
-    names = {*settings, *values} - {*plan.changeable, "show_output"}
-    return {name: values[name] if name in values else settings[name] for name in names}
+    def _conditions(self, num_agents: int) -> dict[str, Any]:
+        """Returns the values that determine the races of the first agents, by name."""
+        values = self.to_dict()
+        settings, versions = values.pop("settings"), values.pop("versions")
+        values["agents"] = [agent.text for agent in self.agents[:num_agents]]
+        values |= {"engine": versions.get("pystk2"), "stkzoo": versions.get("stkzoo")}
+        names = {*settings, *values} - {*self.changeable, "show_output"}
+        return {name: values[name] if name in values else settings[name] for name in names}
 
 
 def describe_differences(
@@ -173,45 +197,6 @@ def describe_differences(
 
 
 # ------------------------------------------------------------------ checks of arguments
-
-
-def batch_settings(
-    settings: RaceSettings | None, changes: Mapping[str, Any], decided: Collection[str]
-) -> RaceSettings:
-    """Returns the settings of all races of a batch.
-
-    Args:
-        settings: settings of the user.
-        changes: fields that replace those of ``settings``.
-        decided: names of fields that users cannot set.
-
-    Raises:
-        ConfigError: a change names a field that does not exist or that users cannot set, or a
-            value is invalid.
-    """
-    chosen = RaceSettings.changed(settings, changes, decided)
-    if chosen.error_handling == "raise":
-        raise ConfigError(
-            "error_handling is 'raise', which would end the batch at the first error; choose "
-            "retire, catch or restart"
-        )
-    if chosen.adapter is not None:
-        chosen = replace(chosen, adapter=str(Path(chosen.adapter).resolve()))
-    return chosen
-
-
-def check_num_races(what: str, count: int) -> None:
-    """Checks the number of races of a batch.
-
-    Args:
-        what: the batch in the error message, such as ``"benchmark"``.
-        count: the number.
-
-    Raises:
-        ConfigError: there are too many.
-    """
-    if count > MAX_RACES:
-        raise ConfigError(f"the {what} has {count:,} races, expected at most {MAX_RACES:,}")
 
 
 def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[str, ...]:

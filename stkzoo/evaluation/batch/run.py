@@ -7,7 +7,7 @@ place atomically, so a race is stored completely or not at all, even if the prog
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -19,7 +19,7 @@ from stkzoo._locks import locked_folder
 from stkzoo._os import cpu_count, make_folder, write_text
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
-from stkzoo.evaluation.batch.plan import Plan, find_plan, keep_plan
+from stkzoo.evaluation.batch.plan import RESULT_FILE, BatchPlan
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.race.document import Document
@@ -27,8 +27,9 @@ from stkzoo.race.result import RaceResult
 
 _MAX_ERRORS_SHOWN = 3
 
+Plan = TypeVar("Plan", bound=BatchPlan)
 Result = TypeVar("Result")
-AnyDocument = TypeVar("AnyDocument", bound=Document)
+Stored = TypeVar("Stored", bound=Document)
 #: Results of the races of a batch that have been run, by number.
 RaceResults = Mapping[int, RaceResult]
 
@@ -162,10 +163,10 @@ class BatchKind(Generic[Plan, Result]):
             require_matplotlib(alternative="or leave the plot out (--no-plot)")
         with locked_folder(folder, plan.noun):
             make_folder(folder / RACES, plan.noun)
-            plan = keep_plan(plan, folder)
+            plan = plan.kept(folder)
             orders = self.orders(plan)
             results = load_orders(orders, folder)
-            errors = _run_rest(orders, folder, options, results)
+            errors = run_orders(orders, folder, options, results)
             if errors and not self.is_partial:
                 raise BatchError.of(errors, len(orders), None)
             result = self.summarize(plan, results, folder)
@@ -176,19 +177,22 @@ class BatchKind(Generic[Plan, Result]):
                 raise BatchError.of(errors, len(orders), result)
             return result
 
-    def current(self, path: str | os.PathLike[str]) -> Result | None:
-        """Returns the current result without running any race; ``None`` for other paths.
+    def load(self, path: str | os.PathLike[str], result_type: type[Stored]) -> Result | Stored:
+        """Returns the current result without running any race.
 
         Args:
-            path: folder of a batch.
+            path: folder of a batch, or the file of a result.
+            result_type: class of the results.
 
         Raises:
-            ConfigError: the plan or a race is damaged, or the plan is of another kind.
+            ConfigError: there is no result, the plan or a race is damaged, or the plan is of
+                another kind.
         """
-        plan = find_plan(self.plan_type, path)
-        if plan is None:
-            return None
-        return self.summarize(plan, load_orders(self.orders(plan), Path(path)), Path(path))
+        place = Path(path)
+        plan = self.plan_type.find(place)
+        if plan is not None:
+            return self.summarize(plan, load_orders(self.orders(plan), place), place)
+        return result_type.load(place / RESULT_FILE if place.is_dir() else place)
 
 
 def written(name: str) -> Callable[[Document, RaceResults, Path], None]:
@@ -196,56 +200,31 @@ def written(name: str) -> Callable[[Document, RaceResults, Path], None]:
     return lambda result, _, folder: write_text(folder / name, result.to_json() + "\n")
 
 
-def _run_rest(
-    orders: Sequence[RaceOrder],
-    folder: Path,
-    options: RunOptions,
-    results: dict[int, RaceResult],
+def run_orders(
+    orders: Sequence[RaceOrder], folder: Path, options: RunOptions, results: dict[int, RaceResult]
 ) -> dict[int, str]:
-    """Runs the races that are not stored yet, and adds their results to ``results``.
+    """Runs races in parallel, reports their progress, and stores and collects their results.
+
+    Args:
+        orders: all races of the batch.
+        folder: folder of the batch.
+        options: options of the run.
+        results: results by number; races that have one do not run. The others are added.
 
     Returns:
         Why races could not be run, by number.
     """
+    report = options.on_race or (lambda _: None)
+    report(BatchProgress(len(results), len(orders)))
     left, errors = [order for order in orders if order.number not in results], {}
-    running = run_orders(left, folder, options, RaceResult, len(results))
-    with closing(running) as outcomes:
-        for order, result, error in outcomes:
+    running = run_in_parallel(left, folder, options.jobs or cpu_count(), options.race_timeout)
+    with closing(running) as outcomes:  # after an error, close() ends the running races
+        for order, (text, error) in outcomes:
+            result = None if error else RaceResult.from_json(text)
             if result is None:
                 errors[order.number] = error
             else:
                 order.store(folder, result)
                 results[order.number] = result
+            report(BatchProgress(len(results), len(orders), result, error))
     return errors
-
-
-def run_orders(
-    orders: Sequence[RaceOrder],
-    folder: Path,
-    options: RunOptions,
-    result_type: type[AnyDocument],
-    num_stored: int = 0,
-) -> Generator[tuple[RaceOrder, AnyDocument | None, str], None, None]:
-    """Runs races in parallel, and reports their progress. Closing it ends the running races.
-
-    Args:
-        orders: the races.
-        folder: folder of the batch.
-        options: options of the run.
-        result_type: class of the results.
-        num_stored: number of other races of the batch that are stored.
-
-    Yields:
-        For each race its order, its result, and why it could not be run.
-    """
-    report = options.on_race or (lambda _: None)
-    total = num_stored + len(orders)
-    report(BatchProgress(num_stored, total))
-    running = run_in_parallel(orders, folder, options.jobs or cpu_count(), options.race_timeout)
-    with closing(running) as outcomes:  # after an error, close() ends the running races
-        for order, (text, error) in outcomes:
-            result = None if error else result_type.from_json(text)
-            num_stored += not error
-            yield order, result, error
-            last = result if isinstance(result, RaceResult) else None
-            report(BatchProgress(num_stored, total, last, error))

@@ -15,13 +15,7 @@ from stkzoo.config import NORMAL
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import BatchAgent, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import (
-    BatchPlan,
-    batch_settings,
-    check_directions,
-    check_num_races,
-    find_tracks,
-)
+from stkzoo.evaluation.batch.plan import BatchPlan, check_directions, find_tracks
 from stkzoo.evaluation.benchmark.ai_times import load_ai_times
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
@@ -83,7 +77,7 @@ class AgentPlan(BatchPlan):
             ConfigError: there are too few or too many races.
         """
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
-        check_num_races("benchmark", num_places * self.seeds)
+        self.check_num_races(num_places * self.seeds)
 
 
 def measured_settings(
@@ -101,9 +95,8 @@ def measured_settings(
     """
     limits = ("max_steps", "max_steps_after_first", "karts_finished")
     unset: dict[str, Any] = dict.fromkeys(("track", *limits))
-    return replace(
-        batch_settings(settings, changes, AgentPlan.decided), **unset, laps=1, **conditions
-    )
+    chosen = AgentPlan.settings_of(settings, changes)
+    return replace(chosen, **unset, laps=1, **conditions)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,12 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.plan import (
-    MAX_RESULT_BYTES,
-    RESULT_FILE,
-    describe_differences,
-    result_file,
-)
+from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, RESULT_FILE, describe_differences
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import (
     AgentPlan,
@@ -279,7 +274,7 @@ def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
     Raises:
         ConfigError: there is no result, or a file is damaged.
     """
-    return BENCHMARK.current(path) or BenchmarkResult.load(result_file(path))
+    return BENCHMARK.load(path, BenchmarkResult)
 
 
 # ------------------------------------------------------------------ comparisons

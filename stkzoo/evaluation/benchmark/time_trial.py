@@ -14,7 +14,7 @@ from stkzoo._schema import Count, Positive, Whole
 from stkzoo.config import TIME_TRIAL
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import find_agents
-from stkzoo.evaluation.batch.plan import RESULT_FILE, find_tracks, result_file
+from stkzoo.evaluation.batch.plan import RESULT_FILE, find_tracks
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import AgentPlan, benchmark_orders, measured_settings
 from stkzoo.evaluation.benchmark.races import FRONT, BenchmarkForm, BenchmarkRace, make_races
@@ -326,4 +326,4 @@ def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
     Raises:
         ConfigError: there is no result, or a file is damaged.
     """
-    return TIME_TRIALS.current(path) or TimeTrialResult.load(result_file(path))
+    return TIME_TRIALS.load(path, TimeTrialResult)

@@ -25,15 +25,7 @@ from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.batch.agents import BatchAgent, check_level, find_agents
 from stkzoo.evaluation.batch.order import RACES, RaceOrder
-from stkzoo.evaluation.batch.plan import (
-    PLAN_FILE,
-    BatchPlan,
-    batch_settings,
-    check_directions,
-    check_num_races,
-    find_tracks,
-    plan_differences,
-)
+from stkzoo.evaluation.batch.plan import PLAN_FILE, BatchPlan, check_directions, find_tracks
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions
 from stkzoo.evaluation.demonstrations.dataset import (
     Demonstrations,
@@ -134,7 +126,7 @@ class DemoPlan(BatchPlan):
     substeps: Annotated[int, Meta(ge=1, le=12)]
 
     def __post_init__(self) -> None:
-        check_num_races("dataset", len(self.tracks) * len(self.directions) * len(self.seeds))
+        self.check_num_races(len(self.tracks) * len(self.directions) * len(self.seeds))
 
 
 def demo_orders(plan: DemoPlan) -> list[DemoOrder]:
@@ -187,7 +179,7 @@ def plan_demonstrations(
         ConfigError: an argument is invalid, or the agent or a track does not exist.
         AssetError: the game's data is missing.
     """
-    chosen = replace(batch_settings(settings, changes, DemoPlan.decided), error_handling="raise")
+    chosen = replace(DemoPlan.settings_of(settings, changes), error_handling="raise")
     check_whole("karts", karts, 1, _MAX_KARTS)
     if isinstance(rivals, str):
         raise ConfigError(f"rivals is {rivals!r}, expected a list of drivers")
@@ -274,7 +266,7 @@ def run_planned_demonstrations(
         raise ConfigError(f"the dataset is {str(output)!r}, expected a path that ends in {_ENDING}")
     if target.exists():
         demos = load_demonstrations(target)
-        if differences := plan_differences(DemoPlan.from_dict(demos.plan), plan):
+        if differences := DemoPlan.from_dict(demos.plan).differences(plan):
             raise ConfigError(
                 f"{target} has other demonstrations: {'; '.join(differences)}. Choose another "
                 "file, or delete it"

@@ -15,13 +15,7 @@ from stkzoo._checks import check_type, check_whole, shortened
 from stkzoo._schema import Whole
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import BatchAgent, find_agents, is_among
-from stkzoo.evaluation.batch.plan import (
-    MAX_RACES,
-    PLAN_FILE,
-    BatchPlan,
-    batch_settings,
-    find_tracks,
-)
+from stkzoo.evaluation.batch.plan import MAX_RACES, PLAN_FILE, BatchPlan, find_tracks
 from stkzoo.evaluation.tournament.schedule import (
     ScheduledRace,
     extend_schedule,
@@ -158,7 +152,7 @@ def plan_tournament(
         raise ConfigError(
             f"a tournament needs at least two agents, such as my_agent and ai; this one has {count}"
         )
-    chosen = batch_settings(settings, changes, TournamentPlan.decided)
+    chosen = TournamentPlan.settings_of(settings, changes)
     entered = find_agents(agents, chosen, served)
     return TournamentPlan(
         agents=entered,

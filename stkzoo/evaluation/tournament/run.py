@@ -14,7 +14,7 @@ from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.evaluation.batch.order import RaceOrder, load_orders, replay_file
-from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, result_file
+from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.templates import require_jinja2
@@ -152,7 +152,7 @@ def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
     Raises:
         ConfigError: there is no result, a file is damaged, or a library is missing.
     """
-    return TOURNAMENT.current(path) or TournamentResult.load(result_file(path))
+    return TOURNAMENT.load(path, TournamentResult)
 
 
 def write_report(
