@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation import plotting
 from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, RESULT_FILE, describe_differences
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import (
@@ -25,16 +26,6 @@ from stkzoo.evaluation.benchmark.races import (
     RaceOutcome,
     find_group,
     group_races,
-)
-from stkzoo.evaluation.plotting import (
-    GRAY,
-    INK,
-    PALETTE,
-    draw_intervals,
-    new_figure,
-    save_figure,
-    shorten,
-    style_axes,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.race.document import Document
@@ -190,23 +181,23 @@ def plot_benchmark(
     contests = [("form", name) for name, chance in chances.items() if chance is not None]
     height = 1.9 + len(rows) * (0.2 + 0.12 * len(drawn))
     widths = (6, 4) if contests else (6,)
-    figure = new_figure(sum(widths), height)
+    figure = plotting.new_figure(sum(widths), height)
     times, *rest = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False).flat
     _draw(times, drawn, rows, "time_ratio")
-    times.axvline(1.0, color=GRAY, linewidth=1, linestyle="--", zorder=0)
-    style_axes(times, "Time as a multiple of the AI's; less is better")
+    times.axvline(1.0, color=plotting.GRAY, linewidth=1, linestyle="--", zorder=0)
+    plotting.style_axes(times, "Time as a multiple of the AI's; less is better")
     for wins in rest:
         _draw(wins, drawn, contests, "win_rate", scale=100)
         for row, (_, name) in enumerate(contests):
             chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
-            wins.plot([chance, chance], ends, color=GRAY, linewidth=2, zorder=0)
+            wins.plot([chance, chance], ends, color=plotting.GRAY, linewidth=2, zorder=0)
         wins.set_xlim(-3, 103)
-        style_axes(wins, "Races won [%]; the mark is chance")
+        plotting.style_axes(wins, "Races won [%]; the mark is chance")
     if len(drawn) > 1:
         handles = times.get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=3 * len(widths))
-    figure.suptitle(_title(drawn), color=INK, fontsize=11)
-    save_figure(figure, path)
+    figure.suptitle(_title(drawn), color=plotting.INK, fontsize=11)
+    plotting.save_figure(figure, path)
 
 
 def _draw(
@@ -220,12 +211,12 @@ def _draw(
         shift = _SPREAD * ((number + 0.5) / len(results) - 0.5)
         known = {(group.by, group.name): group.figures[figure] for group in result.groups}
         estimates = {row + shift: known.get(key) for row, key in enumerate(rows)}
-        draw_intervals(
+        plotting.draw_intervals(
             axes,
             {row: estimate for row, estimate in estimates.items() if estimate is not None},
             scale=scale,
-            color=PALETTE[number % len(PALETTE)],
-            label=shorten(result.label),
+            color=plotting.PALETTE[number % len(plotting.PALETTE)],
+            label=plotting.shorten(result.label),
         )
     axes.set_yticks(range(len(rows)), [name or "all races" for _, name in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)

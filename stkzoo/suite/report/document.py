@@ -6,11 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.document import Document
-from stkzoo.suite.report.statistics import FloatArray
 
 #: Name of the scale of tasks with baselines.
 NORMALIZED = "normalized score"
@@ -31,18 +28,6 @@ class Band:
     values: tuple[float, ...]
     low: tuple[float, ...] | None
     high: tuple[float, ...] | None
-
-    @classmethod
-    def of(
-        cls, x: FloatArray, values: FloatArray, low: FloatArray | None, high: FloatArray | None
-    ) -> Band:
-        """Returns the curve of arrays ``(N,)``, rounded to six digits after the point."""
-        rounded = [None if a is None else _rounded(a) for a in (low, high)]
-        return cls(_rounded(x), _rounded(values), *rounded)
-
-
-def _rounded(values: FloatArray) -> tuple[float, ...]:
-    return tuple(np.round(values, 6).tolist())
 
 
 @dataclass(frozen=True, slots=True)

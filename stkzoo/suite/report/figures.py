@@ -6,14 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo.evaluation.plotting import (
-    GRAY,
-    INK,
-    draw_intervals,
-    new_figure,
-    save_figure,
-    style_axes,
-)
+from stkzoo.evaluation import plotting
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.suite.report.document import Band, SuiteReport
 
@@ -43,7 +36,7 @@ def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
     for name, draw in _FIGURES.items():
         figure = draw(report)
         if figure is not None:
-            save_figure(figure, folder / f"{name}.svg")
+            plotting.save_figure(figure, folder / f"{name}.svg")
             files[name] = Path(f"{name}.svg")
     return files
 
@@ -54,8 +47,35 @@ def learning_curves(report: SuiteReport) -> Any:
         task.task: {result.name: result.returns for result in task.algorithms if result.returns}
         for task in report.tasks
     }
-    shown = {name: curves for name, curves in panels.items() if curves}
-    return _curves(shown, _styles(report), "million kart-steps", "return of a race", x_unit=1e6)
+    panels = {title: curves for title, curves in panels.items() if curves}
+    if not panels:
+        return None
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    figure = plotting.new_figure(_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    styles = _styles(report)
+    handles: dict[str, Any] = {}
+    for axis, (title, curves) in zip(axes, panels.items(), strict=False):
+        plotting.style_axes(axis, title)
+        handles |= {name: _draw_band(axis, band, *styles[name]) for name, band in curves.items()}
+        axis.set_xlabel("million kart-steps", fontsize=9, color=plotting.INK)
+        axis.set_ylabel("return of a race", fontsize=9, color=plotting.INK)
+        axis.grid(color=plotting.GRAY, alpha=0.25)
+    for axis in axes[len(panels) :]:
+        axis.remove()
+    looks = {"ncols": 6, "frameon": False, "fontsize": 9, "handlelength": 3}
+    figure.legend(handles.values(), handles, loc="outside lower center", **looks)
+    return figure
+
+
+def _draw_band(axis: Any, band: Band, color: str, line: str) -> Any:
+    """Draws a curve over kart-steps with its band; returns the curve for the legend."""
+    x = [kart_steps / 1e6 for kart_steps in band.x]
+    (curve,) = axis.plot(x, band.values, line, color=color, linewidth=1.8)
+    if band.low is not None and band.high is not None:
+        axis.fill_between(x, band.low, band.high, color=color, alpha=0.18, linewidth=0)
+    return curve
 
 
 def scores(report: SuiteReport) -> Any:
@@ -97,46 +117,6 @@ def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:
     }
 
 
-def _curves(
-    panels: Mapping[str, Mapping[str, Band]],
-    styles: Mapping[str, tuple[str, str]],
-    x_label: str,
-    y_label: str,
-    x_unit: float = 1.0,
-) -> Any:
-    """Returns a figure with a panel of curves for each title; ``None`` without panels."""
-    if not panels:
-        return None
-    columns = min(len(panels), 2)
-    rows = -(-len(panels) // columns)
-    figure = new_figure(_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
-    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    handles: dict[str, Any] = {}
-    for axis, (title, curves) in zip(axes, panels.items(), strict=False):
-        style_axes(axis, title)
-        for name, band in curves.items():
-            color, line = styles[name]
-            x = [value / x_unit for value in band.x]
-            (handles[name],) = axis.plot(x, band.values, line, color=color, linewidth=1.8)
-            if band.low is not None and band.high is not None:
-                axis.fill_between(x, band.low, band.high, color=color, alpha=0.18, linewidth=0)
-        axis.set_xlabel(x_label, fontsize=9, color=INK)
-        axis.set_ylabel(y_label, fontsize=9, color=INK)
-        axis.grid(color=GRAY, alpha=0.25)
-    for axis in axes[len(panels) :]:
-        axis.remove()
-    figure.legend(
-        handles.values(),
-        handles,
-        loc="outside lower center",
-        ncols=6,
-        frameon=False,
-        fontsize=9,
-        handlelength=3,
-    )
-    return figure
-
-
 def _intervals(
     panels: Mapping[str, Sequence[_Row]],
     styles: Mapping[str, tuple[str, str]],
@@ -147,15 +127,15 @@ def _intervals(
     if not panels:
         return None
     counts = [len(rows) for rows in panels.values()]
-    figure = new_figure(7.5, sum(0.8 + _ROW * count for count in counts))
+    figure = plotting.new_figure(7.5, sum(0.8 + _ROW * count for count in counts))
     axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0]
     for axis, (title, rows) in zip(axes, panels.items(), strict=True):
         if is_probability:
-            axis.axvline(0.5, color=GRAY, linewidth=1.2, linestyle="--", zorder=0)
+            axis.axvline(0.5, color=plotting.GRAY, linewidth=1.2, linestyle="--", zorder=0)
             axis.set_xlim(-0.03, 1.03)
         for place, (_, algorithm, estimate) in enumerate(rows):
-            draw_intervals(axis, {place: estimate}, color=styles[algorithm][0])
+            plotting.draw_intervals(axis, {place: estimate}, color=styles[algorithm][0])
         axis.set_yticks(range(len(rows)), [label for label, _, _ in rows])
         axis.set_ylim(len(rows) - 0.4, -0.6)
-        style_axes(axis, title)
+        plotting.style_axes(axis, title)
     return figure

@@ -182,9 +182,9 @@ def _returns(curves: Sequence[LearningCurve]) -> Band | None:
     start, end = max(steps[0] for steps, _ in points), min(steps[-1] for steps, _ in points)
     x = np.linspace(start, max(start, end), _NUM_POINTS)
     values = np.stack([np.interp(x, steps, returns) for steps, returns in points])
-    if len(curves) == 1:
-        return Band.of(x, values[0], None, None)
-    return Band.of(x, values.mean(axis=0), values.min(axis=0), values.max(axis=0))
+    columns = (x, values.mean(axis=0), values.min(axis=0), values.max(axis=0))
+    shown, mean, low, high = (tuple(column.round(6).tolist()) for column in columns)
+    return Band(shown, mean, low, high) if len(curves) > 1 else Band(shown, mean, None, None)
 
 
 # ------------------------------------------------------------------ the files
