@@ -28,15 +28,7 @@ from pathlib import Path
 
 from stkzoo._arguments import option
 from stkzoo.cli._console import Bars, ConsoleProgress, megabytes, show_table
-from stkzoo.engine.assets import (
-    PlaceReport,
-    cache_folder,
-    clean,
-    find_assets,
-    install,
-    pack,
-    survey,
-)
+from stkzoo.engine import assets
 
 
 @dataclass
@@ -90,15 +82,15 @@ def _status(arguments: StatusArguments) -> None:  # noqa: ARG001 - it has no opt
     cannot run.
     """
     rows = []
-    for report in survey():
+    for report in assets.survey():
         size = megabytes(report.measure()) if report.assets else ""
         rows.append((report.source, str(report.path), _describe(report), size))
     show_table(("place", "folder", "what is there", "size"), rows, title="The game's data")
-    assets = find_assets()
-    print(f"Headless races use the {assets.source}: {assets.root}")
+    used = assets.find_assets()
+    print(f"Headless races use the {used.source}: {used.root}")
 
 
-def _describe(report: PlaceReport) -> str:
+def _describe(report: assets.PlaceReport) -> str:
     if report.assets is None:
         return report.problem or "nothing"
     contents = "headless pack" if report.assets.headless else "full data"
@@ -120,8 +112,8 @@ def _install(arguments: InstallArguments) -> None:
       stkzoo assets install --from pack.tar.xz   from the pack of another machine
     """
     with Bars() as bars:
-        assets = install(**vars(arguments), progress=ConsoleProgress(bars))
-    print(f"Ready: {len(assets.tracks)} tracks and {len(assets.karts)} karts in {assets.root}")
+        new = assets.install(**vars(arguments), progress=ConsoleProgress(bars))
+    print(f"Ready: {len(new.tracks)} tracks and {len(new.karts)} karts in {new.root}")
 
 
 def _pack(arguments: PackArguments) -> None:
@@ -130,7 +122,7 @@ def _pack(arguments: PackArguments) -> None:
     Builds the headless pack from the full data.
     """
     with Bars() as bars:
-        path = pack(**vars(arguments), progress=ConsoleProgress(bars))
+        path = assets.pack(**vars(arguments), progress=ConsoleProgress(bars))
     print(f"Ready: {path}")
 
 
@@ -140,13 +132,15 @@ def _clean(arguments: CleanArguments) -> int:
     Removes the full data and the headless pack from stkzoo's cache. Nothing else is removed.
     """
     if not arguments.yes:
-        print(f"Nothing was removed; to remove stkzoo's data from {cache_folder()}, add --yes.")
+        print(
+            f"Nothing was removed; to remove stkzoo's data from {assets.cache_folder()}, add --yes."
+        )
         return 1
-    removed = clean()
+    removed = assets.clean()
     for folder in removed:
         print(f"Removed {folder}")
     if not removed:
-        print(f"No data of stkzoo in {cache_folder()}.")
+        print(f"No data of stkzoo in {assets.cache_folder()}.")
     return 0
 
 
