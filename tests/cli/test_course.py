@@ -9,7 +9,7 @@ import zipfile
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.cli._hand_ins import collect_agents
+from stkzoo.cli.tournament import collect_agents
 from stkzoo.errors import ConfigError
 
 #: A wheel of this name and content prints what it would run.
