@@ -51,24 +51,23 @@ class AiTimesPlan(BatchPlan):
     seeds: int
     difficulties: tuple[int, ...]
 
-
-def orders(plan: AiTimesPlan) -> list[RaceOrder]:
-    """Returns the orders of all races in which the AI's times are measured."""
-    races = itertools.product(plan.difficulties, plan.tracks, (False, True), range(plan.seeds))
-    return [
-        RaceOrder(
-            number,
-            ("ai",) * _KARTS,
-            RaceSettings(
-                track=track,
-                reverse=reverse,
-                difficulty=difficulty,
-                seed=race_seed(track, reverse, "A" * _KARTS, FRONT, index),
-                max_paths=1,  # the AI does not use observations
-            ),
-        )
-        for number, (difficulty, track, reverse, index) in enumerate(races)
-    ]
+    def orders(self) -> list[RaceOrder]:
+        """Returns the orders of all races."""
+        races = itertools.product(self.difficulties, self.tracks, (False, True), range(self.seeds))
+        return [
+            RaceOrder(
+                number,
+                ("ai",) * _KARTS,
+                RaceSettings(
+                    track=track,
+                    reverse=reverse,
+                    difficulty=difficulty,
+                    seed=race_seed(track, reverse, "A" * _KARTS, FRONT, index),
+                    max_paths=1,  # the AI does not use observations
+                ),
+            )
+            for number, (difficulty, track, reverse, index) in enumerate(races)
+        ]
 
 
 def times_of(results: Iterable[RaceResult]) -> AiTimes:
@@ -110,7 +109,6 @@ def ai_time(key: RaceKey, times: Sequence[float | None]) -> AiTime | None:
 
 MEASUREMENT = BatchKind(
     AiTimesPlan,
-    orders,
     lambda _, results, __: times_of(results[number] for number in sorted(results)),
     lambda *_: None,
     is_partial=False,

@@ -43,7 +43,7 @@ from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.suite import ALGORITHMS, About, can_learn, evaluate, find_task, load_runs, make_report
-from stkzoo.suite.entry import ENTRY_FILE, Entry, entry_orders
+from stkzoo.suite.entry import ENTRY_FILE, Entry
 from stkzoo.suite.report.runs import Evaluation
 
 #: Tasks with reference runs, and the seeds of the runs.
@@ -228,7 +228,7 @@ def _write_zip(
 def _kept_evaluation(folder: Path) -> Evaluation:
     """Reads what the repository holds of an evaluation, which has no replays."""
     entry = Entry.load(folder / ENTRY_FILE)
-    results = load_orders(entry_orders(entry.plan), folder)
+    results = load_orders(entry.plan.orders(), folder)
     return Evaluation(folder, entry, tuple(results.values()))
 
 

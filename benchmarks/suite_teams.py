@@ -54,24 +54,23 @@ class TeamsPlan(BatchPlan):
     teams: tuple[str, str]
     seeds: int
 
-
-def orders(plan: TeamsPlan) -> list[RaceOrder]:
-    """Returns the orders of all races between two teams."""
-    grids = [plan.teams, plan.teams[::-1]]
-    races = itertools.product(plan.tracks, (False, True), range(plan.seeds), enumerate(grids))
-    return [
-        RaceOrder(
-            number,
-            tuple(team for team in grid for _ in range(_TEAM)),
-            RaceSettings(
-                track=track,
-                reverse=reverse,
-                difficulty=DIFFICULTY,
-                seed=race_seed(track, reverse, TASK.forms[0], str(end), index),
-            ),
-        )
-        for number, (track, reverse, index, (end, grid)) in enumerate(races)
-    ]
+    def orders(self) -> list[RaceOrder]:
+        """Returns the orders of all races."""
+        grids = [self.teams, self.teams[::-1]]
+        races = itertools.product(self.tracks, (False, True), range(self.seeds), enumerate(grids))
+        return [
+            RaceOrder(
+                number,
+                tuple(team for team in grid for _ in range(_TEAM)),
+                RaceSettings(
+                    track=track,
+                    reverse=reverse,
+                    difficulty=DIFFICULTY,
+                    seed=race_seed(track, reverse, TASK.forms[0], str(end), index),
+                ),
+            )
+            for number, (track, reverse, index, (end, grid)) in enumerate(races)
+        ]
 
 
 def share_ahead(plan: TeamsPlan, results: RaceResults, _: Path) -> float:
@@ -86,7 +85,7 @@ def share_ahead(plan: TeamsPlan, results: RaceResults, _: Path) -> float:
     return fmean(shares)
 
 
-COMPARISON = BatchKind(TeamsPlan, orders, share_ahead, lambda *_: None, is_partial=False)
+COMPARISON = BatchKind(TeamsPlan, share_ahead, lambda *_: None, is_partial=False)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -19,7 +19,7 @@ from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, benchmark_orders, plan_benchmark
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind, race_seed
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, plot_benchmark, race_outcomes
 from stkzoo.evaluation.statistics import Estimate
@@ -105,6 +105,11 @@ class EntryPlan(BenchmarkPlan):
         races = BenchmarkPlan.races(self)
         return tuple(map(self._freshened, races)) if self.fresh else races
 
+    def orders(self) -> list[RaceOrder]:
+        """Returns the orders of all races."""
+        rivals = draw_rivals(self.races())
+        return [_order(order, rivals.get(order.number, ())) for order in BenchmarkPlan.orders(self)]
+
     def _freshened(self, race: BenchmarkRace) -> BenchmarkRace:
         """Returns a race with a seed from the text for other seeds."""
         text = f"{self.fresh}/{race.track}"
@@ -116,13 +121,8 @@ class EntryPlan(BenchmarkPlan):
         return self.split == TRAIN
 
 
-def entry_orders(plan: EntryPlan) -> list[RaceOrder]:
-    """Returns the orders of all races of an entry."""
-    rivals = draw_rivals(plan.races())
-    return [_order(order, rivals.get(order.number, ())) for order in benchmark_orders(plan)]
-
-
-def _order(order: RaceOrder, rivals: tuple[str, ...]) -> RaceOrder:
+def _order(order: RaceOrder, rivals: tuple[str, ...]) -> EntryOrder:
+    """Returns the order of a race with drivers of the population in place of the game's AI."""
     others = iter(rivals)
     drivers = tuple(next(others, "ai") if text == "ai" else text for text in order.drivers)
     level = next((GAME_AI[text] for text in drivers if GAME_AI.get(text) is not None), None)
@@ -276,14 +276,7 @@ def _entry(plan: EntryPlan, results: RaceResults, folder: Path) -> Entry:
     return Entry(plan, races, *shared_protections(results.values()), replays)
 
 
-ENTRIES = BatchKind(
-    EntryPlan,
-    entry_orders,
-    _entry,
-    written(ENTRY_FILE),
-    plot_benchmark,
-    "entry.png",
-)
+ENTRIES = BatchKind(EntryPlan, _entry, written(ENTRY_FILE), plot_benchmark, "entry.png")
 
 
 def evaluate(

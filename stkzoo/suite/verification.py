@@ -39,7 +39,6 @@ from stkzoo.suite.entry import (
     TRAIN,
     Entry,
     EntryPlan,
-    entry_orders,
     plan_entry,
     replay_digest,
 )
@@ -275,7 +274,7 @@ def verify_entry(
         remedy = f"an entry needs `stkzoo suite evaluate {entry.plan.task} AGENT` without --split"
         _refuse(place, [f"it is an evaluation on the training tracks; {remedy} train"])
     check_conditions(entry, place)
-    pairs = zip(entry_orders(entry.plan), entry.replays, strict=True)
+    pairs = zip(entry.plan.orders(), entry.replays, strict=True)
     live = _live_driver(entry.plan, agent)
     orders = [VerifyOrder.of(order, digest, live) for order, digest in pairs]
     results: dict[int, RaceResult] = {}
@@ -392,7 +391,7 @@ def check_recordings(entry: Entry, folder: Path) -> tuple[RaceResult, ...]:
     check_conditions(entry, folder)
     results: dict[int, RaceResult] = {}
     problems = []
-    for order, digest in zip(entry_orders(entry.plan), entry.replays, strict=True):
+    for order, digest in zip(entry.plan.orders(), entry.replays, strict=True):
         result = load_replay(replay_file(folder, order.number)).result
         if replay_digest(folder, order.number) != digest:
             problems.append(f"{_name(order)}: the replay is not the one of {ENTRY_FILE} (SHA-256)")

@@ -16,7 +16,6 @@ from stkzoo.evaluation import (
     load_benchmark,
     plan_benchmark,
 )
-from stkzoo.evaluation.benchmark.plan import benchmark_orders
 from stkzoo.evaluation.benchmark.races import make_races, race_seed
 from stkzoo.evaluation.statistics import estimate_mean
 from stkzoo.tracks import TEST_TRACKS
@@ -50,7 +49,7 @@ def test_invalid_race_forms_are_refused(name):
 
 def test_orders_follow_the_race_form():
     plan = plan_benchmark("random@:dice", split="lighthouse", seeds=1, reverse=[True])
-    by_race = dict(zip(plan.races(), benchmark_orders(plan), strict=True))
+    by_race = dict(zip(plan.races(), plan.orders(), strict=True))
     found = {(race.form, race.end): order for race, order in by_race.items()}
     dice = "random@:dice"
     assert found["PPAAA", "back"].drivers == ("ai", "ai", "ai", dice, dice)

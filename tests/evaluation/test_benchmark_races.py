@@ -12,7 +12,6 @@ from stkzoo import race_v0
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import AiTimes, load_ai_times, load_benchmark, run_benchmark
-from stkzoo.evaluation.benchmark.plan import benchmark_orders
 from stkzoo.race import RaceResult, run_race
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS
@@ -41,7 +40,7 @@ def small(tmp_path_factory):
 def test_the_agent_drives_the_planned_races(small):
     folder, result, heard = small
     assert [progress.done for progress in heard] == list(range(7))
-    for race, order in zip(result.plan.races(), benchmark_orders(result.plan), strict=True):
+    for race, order in zip(result.plan.races(), result.plan.orders(), strict=True):
         kept = RaceResult.from_json((folder / "races" / f"{race.number:05d}.json").read_text())
         rows = sorted(kept.agents, key=lambda row: row.start_position)
         assert [row.driver for row in rows] == [text.rpartition("@:")[2] for text in order.drivers]

@@ -14,7 +14,6 @@ from stkzoo.evaluation import (
     plan_time_trial,
     run_time_trial,
 )
-from stkzoo.evaluation.benchmark.plan import benchmark_orders
 from stkzoo.evaluation.benchmark.time_trial import TIME_TRIALS
 from stkzoo.records import HUMAN_RECORDS
 from tests.support.paths import ROOT
@@ -29,7 +28,7 @@ SHIPPED = ROOT / "benchmarks" / "results" / "benchmark" / "ace-time-trial.json"
 
 def test_the_races_have_the_conditions_of_the_records():
     plan = plan_time_trial("heuristic", seeds=2)
-    orders = benchmark_orders(plan)
+    orders = plan.orders()
     assert [order.settings.track for order in orders] == [*HUMAN_RECORDS] * 2
     assert {order.drivers for order in orders} == {("heuristic@:heuristic",)}
     for order in orders:
@@ -65,7 +64,7 @@ def outcome(multiples, **options):
     """Makes a result with times in multiples of the record; ``None`` for unfinished races."""
     plan = plan_time_trial("heuristic", **options)
     results = {}
-    for order, multiple in zip(benchmark_orders(plan), multiples, strict=False):
+    for order, multiple in zip(plan.orders(), multiples, strict=False):
         record = HUMAN_RECORDS[order.settings.track].seconds
         results[order.number] = result_of(order, None if multiple is None else multiple * record)
     return TIME_TRIALS.summarize(plan, results, None)

@@ -10,7 +10,7 @@ from stkzoo.drivers import driver_names, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.suite import TASKS, About, Entry, EntryRefused, plan_entry, verify_entry
 from stkzoo.suite.about import shipped_class
-from stkzoo.suite.entry import ENTRY_FILE, entry_orders
+from stkzoo.suite.entry import ENTRY_FILE
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_a_text_draws_other_races_with_other_rivals():
     assert len(set.union(*seeds)) == 3 * len(standard.races())
     strata = [[race.key for race in plan.races()] for plan in (standard, one)]
     assert strata[0] == strata[1]
-    rivals = [[order.drivers for order in entry_orders(plan)] for plan in (standard, one)]
+    rivals = [[order.drivers for order in plan.orders()] for plan in (standard, one)]
     assert rivals[0] != rivals[1]
 
 

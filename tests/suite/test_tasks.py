@@ -14,7 +14,6 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, run_race
 from stkzoo.race.replay import next_digest
 from stkzoo.suite import POPULATION, TASKS, find_task, id_of, plan_entry, view_of
-from stkzoo.suite.entry import entry_orders
 from stkzoo.suite.population import draw_rivals
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 from tests.support.views import marked
@@ -139,9 +138,9 @@ def test_a_member_of_the_population_still_drives_the_same(member):
 @pytest.mark.parametrize("name", DIGESTS)
 def test_the_evaluation_has_balanced_and_reproducible_races(name):
     task, plan = find_task(name), plan_entry(name, "random")
-    orders = entry_orders(plan)
+    orders = plan.orders()
     assert len(orders) == task.num_races
-    assert orders == entry_orders(plan_entry(name, "random"))
+    assert orders == plan_entry(name, "random").orders()
     assert {order.settings.track for order in orders} == set(task.test_tracks)
     assert {order.settings.teams for order in orders} == {bool(task.teams)}
     assert sum(order.settings.reverse for order in orders) == len(orders) / 2

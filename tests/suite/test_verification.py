@@ -16,7 +16,7 @@ from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite import TASKS, About, Entry, EntryRefused, evaluate, plan_entry, verify_entry
-from stkzoo.suite.entry import ENTRY_FILE, entry_orders
+from stkzoo.suite.entry import ENTRY_FILE
 from stkzoo.suite.verification import VerifyOrder, _compare
 from tests.support.entries import (
     SAMPLER,
@@ -145,7 +145,7 @@ def test_changed_recordings_are_refused_at_their_step(entry):
     def finish_sooner(header):
         header["result"]["agents"][0]["finish_time"] -= 1
 
-    assert entry_orders(plan_entry(SMALL, "random"))[WITH_DRIVER].drivers[0] == "heuristic"
+    assert plan_entry(SMALL, "random").orders()[WITH_DRIVER].drivers[0] == "heuristic"
     change_controls(entry, ALONE, brake)
     change_controls(entry, WITH_RIVAL, lambda controls: controls[:50])
     change_controls(entry, WITH_DRIVER, control(100, 0, 2))
@@ -324,7 +324,7 @@ def test_facts_of_the_replays_that_no_score_depends_on_are_also_verified(entry):
 
     failure = {"step": 3, "kind": "error", "message": "x", "trace": ""}
     failed = change_row("kart_1", num_errors=1, errors=[failure])
-    assert entry_orders(plan_entry(SMALL, "random"))[1].drivers[1] == "ai:3"
+    assert plan_entry(SMALL, "random").orders()[1].drivers[1] == "ai:3"
     change_controls(entry, 1, steer)
     for number, change in (
         (0, lambda header: header["result"].update(status="max_steps")),

@@ -31,7 +31,6 @@ from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.tournament.film import FilmRecorder, MapFilm, draw_film
 from stkzoo.evaluation.tournament.plan import TournamentPlan
-from stkzoo.evaluation.tournament.run import tournament_orders
 from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.document import Document
@@ -112,7 +111,7 @@ def _document(kind: type[Document], valid: Callable[[], Document]) -> FileKind:
         if isinstance(found, MapFilm):
             draw_film(found, "film")
         elif isinstance(found, TournamentPlan) and found.num_races < _SMALL:
-            tournament_orders(found)
+            found.orders()
 
     return FileKind(kind.type_name, text, _as("file.json"), read)
 

@@ -16,7 +16,7 @@ from stkzoo.evaluation.benchmark.result import race_outcomes
 from stkzoo.race.replay import Replay, ReplayAgent, save_replay
 from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.suite import About, Entry, EntryPlan, Evaluation, SuiteRun, plan_entry
-from stkzoo.suite.entry import ENTRY_FILE, entry_orders, replay_digest
+from stkzoo.suite.entry import ENTRY_FILE, replay_digest
 
 #: Returns the time ratio of a race, or whether a rival is beaten, from the race and the rival.
 Value = Callable[[RaceOrder, int], float]
@@ -39,7 +39,7 @@ def results_of(plan: EntryPlan, value: Value) -> Iterator[RaceResult]:
 
     All karts of the agent finish together, after the rivals that they do not beat.
     """
-    for order in entry_orders(plan):
+    for order in plan.orders():
         karts = range(len(order.drivers))
         own = order.wait_for or ()
         is_behind = {kart: kart not in own and bool(value(order, kart)) for kart in karts}
@@ -73,7 +73,7 @@ def evaluation_of(plan: EntryPlan, value: Value, folder: Path | None = None) -> 
     races = race_outcomes(plan, dict(enumerate(results)))
     if folder is None:
         return Evaluation(Path(), Entry(plan, races, replays=("0" * 64,) * len(races)), results)
-    for order, result in zip(entry_orders(plan), results, strict=True):
+    for order, result in zip(plan.orders(), results, strict=True):
         for file in (replay_file(folder, order.number), order.file(folder)):
             file.parent.mkdir(parents=True, exist_ok=True)
         save_replay(replay_of(result), replay_file(folder, order.number))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import shlex
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import BatchAgent
+from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.race.document import Document
 from stkzoo.race.result import versions_now
 from stkzoo.race.settings import RaceSettings
@@ -96,6 +98,10 @@ class BatchPlan(Document):
         """
         file = Path(path) / PLAN_FILE
         return cls.load(file) if os.path.lexists(file) else None
+
+    @abstractmethod
+    def orders(self) -> Sequence[RaceOrder]:
+        """Returns the orders of all races."""
 
     def check_num_races(self, count: int) -> None:
         """Checks the number of races.

@@ -120,11 +120,10 @@ class BatchError(StkzooError, Generic[Result]):
 
 @dataclass(frozen=True, slots=True)
 class BatchKind(Generic[Plan, Result]):
-    """A kind of batch: the functions that make its races and its result from a plan.
+    """A kind of batch: its plans, and the functions that make a result from the races of one.
 
     Attributes:
         plan_type: class of its plans.
-        orders: returns all races of a plan.
         summarize: returns the result of the races that have been run, by number. The last argument
             is the folder of the batch.
         write: writes a result, and what belongs to it except the plot, to the folder; its arguments
@@ -136,7 +135,6 @@ class BatchKind(Generic[Plan, Result]):
     """
 
     plan_type: type[Plan]
-    orders: Callable[[Plan], Sequence[RaceOrder]]
     summarize: Callable[[Plan, RaceResults, Path], Result]
     write: Callable[[Result, RaceResults, Path], object]
     plot: Callable[[Result, Path], object] | None = None
@@ -164,7 +162,7 @@ class BatchKind(Generic[Plan, Result]):
         with locked_folder(folder, plan.noun):
             make_folder(folder / RACES, plan.noun)
             plan = plan.kept(folder)
-            orders = self.orders(plan)
+            orders = plan.orders()
             results = load_orders(orders, folder)
             errors = run_orders(orders, folder, options, results)
             if errors and not self.is_partial:
@@ -191,7 +189,7 @@ class BatchKind(Generic[Plan, Result]):
         place = Path(path)
         plan = self.plan_type.find(place)
         if plan is not None:
-            return self.summarize(plan, load_orders(self.orders(plan), place), place)
+            return self.summarize(plan, load_orders(plan.orders(), place), place)
         return result_type.load(place / RESULT_FILE if place.is_dir() else place)
 
 

@@ -63,6 +63,23 @@ class AgentPlan(BatchPlan):
     def reference_time(self, track: str, reverse: bool) -> float:
         """Returns the time with which the agent's is compared, on a track in a direction [s]."""
 
+    def orders(self) -> list[RaceOrder]:
+        """Returns the orders of all races."""
+        return [self._order(race) for race in self.races()]
+
+    def _order(self, race: BenchmarkRace) -> RaceOrder:
+        karts = race.lineup.agent_karts(race.end)
+        settings = replace(
+            self.settings,
+            track=race.track,
+            reverse=race.reverse,
+            laps=self.laps(race.track),
+            seed=race.seed,
+            max_steps=steps_within(self.limit * self.reference_time(race.track, race.reverse)),
+        )
+        drivers = (self.agent.text if kart in karts else "ai" for kart in range(len(race.form)))
+        return RaceOrder(race.number, tuple(drivers), settings, karts)
+
     def laps(self, track: str) -> int:  # noqa: ARG002 - records have a number for each track
         """Returns the number of laps of a race on a track."""
         return 1
@@ -145,25 +162,6 @@ class BenchmarkPlan(AgentPlan):
     def reference_time(self, track: str, reverse: bool) -> float:
         """Returns the AI's median time on a track in a direction [s]."""
         return self.ai_times[track][direction_name(reverse)]
-
-
-def benchmark_orders(plan: AgentPlan) -> list[RaceOrder]:
-    """Returns the orders of all races of a plan."""
-    return [_order(plan, race) for race in plan.races()]
-
-
-def _order(plan: AgentPlan, race: BenchmarkRace) -> RaceOrder:
-    karts = race.lineup.agent_karts(race.end)
-    settings = replace(
-        plan.settings,
-        track=race.track,
-        reverse=race.reverse,
-        laps=plan.laps(race.track),
-        seed=race.seed,
-        max_steps=steps_within(plan.limit * plan.reference_time(race.track, race.reverse)),
-    )
-    drivers = (plan.agent.text if kart in karts else "ai" for kart in range(len(race.form)))
-    return RaceOrder(race.number, tuple(drivers), settings, karts)
 
 
 def plan_benchmark(

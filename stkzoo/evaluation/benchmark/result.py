@@ -13,12 +13,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation import plotting
 from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, RESULT_FILE, describe_differences
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
-from stkzoo.evaluation.benchmark.plan import (
-    AgentPlan,
-    BenchmarkPlan,
-    benchmark_orders,
-    plan_benchmark,
-)
+from stkzoo.evaluation.benchmark.plan import AgentPlan, BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.races import (
     FIGURES,
     FigureKind,
@@ -231,9 +226,7 @@ def _title(results: Sequence[BenchmarkResult]) -> str:
 
 # ------------------------------------------------------------------ runs
 
-BENCHMARK = BatchKind(
-    BenchmarkPlan, benchmark_orders, _result, written(RESULT_FILE), plot_benchmark, "benchmark.png"
-)
+BENCHMARK = BatchKind(BenchmarkPlan, _result, written(RESULT_FILE), plot_benchmark, "benchmark.png")
 
 
 def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any) -> BenchmarkResult:

@@ -16,7 +16,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import find_agents
 from stkzoo.evaluation.batch.plan import RESULT_FILE, find_tracks
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
-from stkzoo.evaluation.benchmark.plan import AgentPlan, benchmark_orders, measured_settings
+from stkzoo.evaluation.benchmark.plan import AgentPlan, measured_settings
 from stkzoo.evaluation.benchmark.races import FRONT, BenchmarkForm, BenchmarkRace, make_races
 from stkzoo.evaluation.benchmark.result import AgentBatchResult, race_outcomes
 from stkzoo.evaluation.plotting import BLUE, GRAY, INK, new_figure, save_figure, shorten, style_axes
@@ -287,7 +287,6 @@ def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> No
 
 TIME_TRIALS = BatchKind(
     TimeTrialPlan,
-    benchmark_orders,
     summarize_time_trial,
     written(RESULT_FILE),
     plot_time_trial,

@@ -128,22 +128,21 @@ class DemoPlan(BatchPlan):
     def __post_init__(self) -> None:
         self.check_num_races(len(self.tracks) * len(self.directions) * len(self.seeds))
 
-
-def demo_orders(plan: DemoPlan) -> list[DemoOrder]:
-    """Returns the orders of all races of a dataset."""
-    drivers = (plan.agent.source,) * plan.karts + plan.rivals
-    races = itertools.product(plan.tracks, plan.directions, plan.seeds)
-    return [
-        DemoOrder(
-            number,
-            drivers,
-            replace(plan.settings, track=track, reverse=reverse, seed=seed),
-            tuple(range(plan.karts)),
-            plan.view,
-            plan.substeps,
-        )
-        for number, (track, reverse, seed) in enumerate(races)
-    ]
+    def orders(self) -> list[DemoOrder]:
+        """Returns the orders of all races."""
+        drivers = (self.agent.source,) * self.karts + self.rivals
+        races = itertools.product(self.tracks, self.directions, self.seeds)
+        return [
+            DemoOrder(
+                number,
+                drivers,
+                replace(self.settings, track=track, reverse=reverse, seed=seed),
+                tuple(range(self.karts)),
+                self.view,
+                self.substeps,
+            )
+            for number, (track, reverse, seed) in enumerate(races)
+        ]
 
 
 def plan_demonstrations(
@@ -215,13 +214,12 @@ def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
 
 def _join(plan: DemoPlan, _: RaceResults, parts: Path) -> Demonstrations:
     """Returns the recorded episodes of all races."""
-    episodes = [load_demonstrations(order.file(parts, _ENDING)) for order in demo_orders(plan)]
+    episodes = [load_demonstrations(order.file(parts, _ENDING)) for order in plan.orders()]
     return replace(join(episodes), plan=json.loads(json.dumps(plan.to_dict())))
 
 
 DEMONSTRATIONS = BatchKind(
     DemoPlan,
-    demo_orders,
     _join,
     lambda demos, _, parts: save_demonstrations(demos, parts.with_suffix("")),
     is_partial=False,

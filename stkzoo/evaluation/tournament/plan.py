@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -12,10 +13,14 @@ from typing import Annotated, Any, ClassVar
 from msgspec import Meta
 
 from stkzoo._checks import check_type, check_whole, shortened
+from stkzoo._os import write_text
 from stkzoo._schema import Whole
+from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.agents import BatchAgent, find_agents, is_among
+from stkzoo.evaluation.batch.agents import NAME_MARK, BatchAgent, find_agents, is_among
+from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import MAX_RACES, PLAN_FILE, BatchPlan, find_tracks
+from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
 from stkzoo.evaluation.tournament.schedule import (
     ScheduledRace,
     extend_schedule,
@@ -23,13 +28,55 @@ from stkzoo.evaluation.tournament.schedule import (
     newcomer_seats,
 )
 from stkzoo.race.remote import ServedAgent, ServerAccess
-from stkzoo.race.result import versions_now
+from stkzoo.race.replay import ReplayWriter
+from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 
 _MAX_PER_RACE = 20
 _MAX_AGENTS = 1000
 _USUAL_PER_RACE = 4
 _MAX_SEED = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class TournamentOrder(RaceOrder):
+    """One race of a tournament, which can include agents on servers, with its replay and film.
+
+    Attributes:
+        served: for each driver, its agent on a server; ``None`` for a driver that runs here.
+        access: how to connect to the servers.
+    """
+
+    served: tuple[ServedAgent | None, ...] = ()
+    access: ServerAccess | None = None
+
+    def run(self, folder: Path) -> RaceResult:
+        """Runs the race in a worker process, and stores its replay and film.
+
+        Args:
+            folder: folder of the tournament.
+        """
+        replay, film = replay_file(folder, self.number), film_file(folder, self.number)
+        for file in (replay, film):
+            file.parent.mkdir(exist_ok=True)
+        recorder = FilmRecorder()
+        with ExitStack() as resources:
+            drivers = self._all_drivers(resources)
+            result = self.race(drivers, [recorder, ReplayWriter(replay)])
+        write_text(film, recorder.film().to_json())
+        return result
+
+    def _all_drivers(self, resources: ExitStack) -> list[str | Driver]:
+        """Returns the drivers. Connections to servers are closed with ``resources``."""
+        remote = [agent for agent in self.served if agent]
+        if not remote:
+            return [*self.drivers]
+        group = resources.enter_context((self.access or ServerAccess()).connect(remote))
+        connected = iter(group.drivers)
+        return [
+            replace(next(connected), name=text.rpartition(NAME_MARK)[2]) if agent else text
+            for text, agent in zip(self.drivers, self.served, strict=True)
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +152,20 @@ class TournamentPlan(BatchPlan):
             additions=(*stored.additions, len(requested)) if requested else stored.additions,
             access=self.access or stored.access,
         )
+
+    def orders(self) -> list[TournamentOrder]:
+        """Returns the orders of all races."""
+        return [
+            TournamentOrder(
+                race.number,
+                tuple(agent.text for agent in grid),
+                replace(self.settings, track=race.track, seed=race.seed),
+                served=tuple(agent.served for agent in grid),
+                access=self.access,
+            )
+            for race in self.schedule()
+            for grid in [[self.agents[number] for number in race.grid]]
+        ]
 
     def schedule(self) -> tuple[ScheduledRace, ...]:
         """Returns all races, in order."""

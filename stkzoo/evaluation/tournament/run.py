@@ -4,85 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import make_folder, write_text
-from stkzoo.drivers.driver import Driver
+from stkzoo._os import make_folder
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.agents import NAME_MARK
-from stkzoo.evaluation.batch.order import RaceOrder, load_orders, replay_file
+from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.templates import require_jinja2
-from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament, resumed_plan
 from stkzoo.evaluation.tournament.report import TournamentReport
 from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
-from stkzoo.race.remote import ServedAgent, ServerAccess
-from stkzoo.race.replay import ReplayWriter
-from stkzoo.race.result import RaceResult
 
 REPORT_FILE = "report.html"
-
-
-@dataclass(frozen=True, slots=True)
-class TournamentOrder(RaceOrder):
-    """One race of a tournament, which can include agents on servers, with its replay and film.
-
-    Attributes:
-        served: for each driver, its agent on a server; ``None`` for a driver that runs here.
-        access: how to connect to the servers.
-    """
-
-    served: tuple[ServedAgent | None, ...] = ()
-    access: ServerAccess | None = None
-
-    def run(self, folder: Path) -> RaceResult:
-        """Runs the race in a worker process, and stores its replay and film.
-
-        Args:
-            folder: folder of the tournament.
-        """
-        replay, film = replay_file(folder, self.number), film_file(folder, self.number)
-        for file in (replay, film):
-            file.parent.mkdir(exist_ok=True)
-        recorder = FilmRecorder()
-        with ExitStack() as resources:
-            drivers = self._all_drivers(resources)
-            result = self.race(drivers, [recorder, ReplayWriter(replay)])
-        write_text(film, recorder.film().to_json())
-        return result
-
-    def _all_drivers(self, resources: ExitStack) -> list[str | Driver]:
-        """Returns the drivers. Connections to servers are closed with ``resources``."""
-        remote = [agent for agent in self.served if agent]
-        if not remote:
-            return [*self.drivers]
-        group = resources.enter_context((self.access or ServerAccess()).connect(remote))
-        connected = iter(group.drivers)
-        return [
-            replace(next(connected), name=text.rpartition(NAME_MARK)[2]) if agent else text
-            for text, agent in zip(self.drivers, self.served, strict=True)
-        ]
-
-
-def tournament_orders(plan: TournamentPlan) -> list[TournamentOrder]:
-    """Returns the orders of all races of a tournament."""
-    return [
-        TournamentOrder(
-            race.number,
-            tuple(agent.text for agent in grid),
-            replace(plan.settings, track=race.track, seed=race.seed),
-            served=tuple(agent.served for agent in grid),
-            access=plan.access,
-        )
-        for race in plan.schedule()
-        for grid in [[plan.agents[number] for number in race.grid]]
-    ]
 
 
 def _check() -> None:
@@ -98,7 +34,6 @@ def _write(result: TournamentResult, results: RaceResults, folder: Path) -> None
 
 TOURNAMENT = BatchKind(
     TournamentPlan,
-    tournament_orders,
     lambda plan, results, _: summarize_tournament(plan, results),
     _write,
     check=_check,
@@ -179,7 +114,7 @@ def write_report(
     """
     home = Path(folder)
     plan = TournamentPlan.load(home / PLAN_FILE)
-    races = load_orders(tournament_orders(plan), home)
+    races = load_orders(plan.orders(), home)
     if not races:
         raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
     page = home / REPORT_FILE if publish is None else Path(publish, "index.html")
