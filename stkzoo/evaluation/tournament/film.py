@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -71,39 +71,33 @@ class FilmRecorder(RaceListener):
 
     def __init__(self) -> None:
         self._places: list[list[list[float]]] = []
-        self._film: MapFilm | None = None
-        self._every = 1
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        step = float(race.env.options.step_size)
-        self._every = max(1, round(_INTERVAL / step))
-        track = race.scene.track_map
-        road = track.path_nodes[..., ::2].reshape(-1, 4)
-        self._film = MapFilm(
-            track=race.race_info.track,
-            interval=self._every * step,
-            width=float(np.median(track.path_width)),
-            road=tuple((a, b, c, d) for a, b, c, d in _rounded(road)),
-            karts={race.names[agent]: () for agent in race.env.possible_agents},
-        )
+        self._step = float(race.env.options.step_size)
+        self._every = max(1, round(_INTERVAL / self._step))
+        self._map, self._track = race.scene.track_map, race.race_info.track
+        self._labels = [race.names[agent] for agent in race.env.possible_agents]
         self._add(race)
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         if race.steps % self._every == 0:
             self._add(race)
-        if self._film is not None and len(self._places) > _MAX_MOMENTS:
+        if len(self._places) > _MAX_MOMENTS:
             self._places, self._every = self._places[::2], 2 * self._every
-            self._film = replace(self._film, interval=2 * self._film.interval)
 
     def film(self) -> MapFilm:
         """Returns the film recorded so far. Call it after the race has started."""
-        film = self._film
-        assert film is not None  # noqa: S101 - the race has started
-        ways = np.array(self._places).transpose(1, 0, 2).reshape(len(film.karts), -1)
-        karts = {name: tuple(way) for name, way in zip(film.karts, ways.tolist(), strict=True)}
-        return replace(film, karts=karts)
+        road = _rounded(self._map.path_nodes[..., ::2].reshape(-1, 4))
+        ways = np.array(self._places).transpose(1, 0, 2).reshape(len(self._labels), -1)
+        return MapFilm(
+            track=self._track,
+            interval=self._every * self._step,
+            width=float(np.median(self._map.path_width)),
+            road=tuple((a, b, c, d) for a, b, c, d in road),
+            karts=dict(zip(self._labels, map(tuple, ways.tolist()), strict=True)),
+        )
 
     def _add(self, race: RaceProgress) -> None:
         karts = list(race.race_info.kart_indices)
