@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo._checks import shortened
-from stkzoo._reading import read_json, read_text, reading
+from stkzoo._reading import load_json
 from stkzoo._schema import plain_text
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers.driver import Driver, find_driver
@@ -268,8 +268,7 @@ def verify_entry(
     """
     settings = RunOptions(**options)
     place = Path(folder)
-    text = _read(place / ENTRY_FILE)
-    entry = Entry.from_json(text, str(place / ENTRY_FILE))
+    entry = Entry.load(place / ENTRY_FILE)
     if entry.plan.is_on_training_tracks:
         remedy = f"an entry needs `stkzoo suite evaluate {entry.plan.task} AGENT` without --split"
         _refuse(place, [f"it is an evaluation on the training tracks; {remedy} train"])
@@ -280,7 +279,7 @@ def verify_entry(
     results: dict[int, RaceResult] = {}
     errors = run_orders(orders, place, settings, results)
     _refuse(place, [f"{_name(orders[number])}: {errors[number]}" for number in sorted(errors)])
-    _compare(entry, place, read_json(text, dict[str, Any], Entry.max_bytes), results)
+    _compare(entry, place, results)
     return entry
 
 
@@ -315,11 +314,6 @@ def proof_of(entry: Entry, agent: str | None = None) -> str:
         f"Proven: {driver} drove in all races. Not proven: what the entry says about authors and "
         "training."
     )
-
-
-def _read(file: Path) -> str:
-    with reading(f"{file} is not an entry", Entry.origin):
-        return read_text(file, Entry.max_bytes)
 
 
 def _refuse(folder: Path, problems: Sequence[str]) -> None:
@@ -408,12 +402,11 @@ def _race_of(facts: RaceResult | RaceSettings) -> tuple[object, ...]:
     return facts.track, facts.reverse, facts.seed, facts.difficulty, facts.laps
 
 
-def _compare(
-    entry: Entry, folder: Path, claimed: dict[str, Any], results: Mapping[int, RaceResult]
-) -> None:
+def _compare(entry: Entry, folder: Path, results: Mapping[int, RaceResult]) -> None:
     """Compares all numbers of an entry with those of the races that were run again."""
-    measured = _compare_races(entry, folder, results)
-    if difference := _difference(claimed, json.loads(replace(entry, races=measured).to_json())):
+    measured = replace(entry, races=_compare_races(entry, folder, results))
+    claimed = load_json(folder / ENTRY_FILE, dict[str, Any], Entry.max_bytes)
+    if difference := _difference(claimed, json.loads(measured.to_json())):
         _refuse(folder, [f"{ENTRY_FILE}: {difference}"])
 
 

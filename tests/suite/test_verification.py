@@ -202,7 +202,7 @@ def test_numbers_that_do_not_follow_from_the_races_are_refused(entry, change, me
     races = sorted((entry / "races").glob("*.json"))
     results = {number: RaceResult.load(file) for number, file in enumerate(races)}
     with pytest.raises(EntryRefused, match=message):
-        _compare(claimed, entry, card, results)
+        _compare(claimed, entry, results)
 
 
 @pytest.mark.slow
@@ -237,7 +237,7 @@ def test_an_unknown_task_and_a_missing_entry_are_errors(entry, tmp_path):
     write_entry(entry, card)
     with pytest.raises(ConfigError, match="unknown task 'smal'"):
         verify_entry(entry)
-    with pytest.raises(ConfigError, match="is not an entry"):
+    with pytest.raises(ConfigError, match="has no suite entry"):
         verify_entry(tmp_path / "nothing")
 
 
