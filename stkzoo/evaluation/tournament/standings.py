@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -278,8 +279,14 @@ def summarize_tournament(
     orders = [[number_of[label] for label in race.order] for race in races]
     places = [[race.place_of(label) for label in race.order] for race in races]
     ratings = rate(orders, len(plan.agents), plan.seed, places)
-    place_in = [dict(zip(*race, strict=True)) for race in zip(orders, places, strict=True)]
+    ahead = Counter(
+        (one, two)
+        for race in races
+        for one, two in itertools.combinations(race.order, 2)
+        if race.place_of(one) < race.place_of(two)
+    )
     best_first = sorted(number_of.values(), key=lambda number: -ratings[number].value)
+    labels = [plan.agents[number].label for number in best_first]
     sandboxes, protections = shared_protections(results.values())
     return TournamentResult(
         plan=plan,
@@ -287,16 +294,8 @@ def summarize_tournament(
             Standing.of(plan.agents[number], place, ratings[number], races, results)
             for place, number in enumerate(best_first, 1)
         ),
-        ahead=tuple(
-            tuple(_times_ahead(one, two, place_in) for two in best_first) for one in best_first
-        ),
+        ahead=tuple(tuple(ahead[one, two] for two in labels) for one in labels),
         races=races,
         sandboxes=sandboxes,
         protections=protections,
     )
-
-
-def _times_ahead(one: int, two: int, place_in: Sequence[Mapping[int, int]]) -> int:
-    """Returns in how many races one agent was ahead of another one."""
-    shared = (places for places in place_in if one in places and two in places)
-    return sum(places[one] < places[two] for places in shared)

@@ -18,16 +18,7 @@ from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS, Estimate
 from stkzoo.evaluation.templates import render, require_jinja2
 from stkzoo.suite.about import LEARNED
-from stkzoo.suite.report import statistics
-from stkzoo.suite.report.document import (
-    NORMALIZED,
-    AlgorithmReport,
-    Band,
-    Improvement,
-    PowerReport,
-    SuiteReport,
-    TaskReport,
-)
+from stkzoo.suite.report import document, statistics
 from stkzoo.suite.report.figures import draw_figures
 from stkzoo.suite.report.runs import DIRECTIONS, LearningCurve, SuiteRun, load_runs
 from stkzoo.suite.report.statistics import (
@@ -58,7 +49,7 @@ CAPTIONS = {
 # ------------------------------------------------------------------ the numbers
 
 
-def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
+def make_report(runs: Sequence[SuiteRun]) -> document.SuiteReport:
     """Returns the report of training runs.
 
     Args:
@@ -70,7 +61,7 @@ def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
         tasks.setdefault(run.task.name, []).append(run)
         for name, version in run.test.entry.plan.versions.items():
             versions.setdefault(name, set()).add(version)
-    return SuiteReport(
+    return document.SuiteReport(
         SUITE,
         CONFIDENCE,
         DRAWS,
@@ -79,7 +70,7 @@ def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
     )
 
 
-def _task_report(runs: Sequence[SuiteRun]) -> TaskReport:
+def _task_report(runs: Sequence[SuiteRun]) -> document.TaskReport:
     task, fresh = runs[0].task, runs[0].test.entry.plan.fresh
     groups: dict[tuple[str, str, str], list[SuiteRun]] = {}
     for run in runs:
@@ -87,15 +78,17 @@ def _task_report(runs: Sequence[SuiteRun]) -> TaskReport:
     reports = [_algorithm_report(of_algorithm) for of_algorithm in groups.values()]
     tables = [_table(of_algorithm) for of_algorithm in groups.values()]
     pairs = itertools.combinations(zip(reports, tables, strict=True), 2)
-    return TaskReport(
+    return document.TaskReport(
         task.name,
         task.digest,
         fresh,
         task.metric,
-        NORMALIZED if load_baselines().has(task.name) and not fresh else task.metric,
+        document.NORMALIZED if load_baselines().has(task.name) and not fresh else task.metric,
         tuple(reports),
         tuple(
-            Improvement(one.name, two.name, estimate(statistics.improvement, first, second))
+            document.Improvement(
+                one.name, two.name, estimate(statistics.improvement, first, second)
+            )
             for (one, first), (two, second) in pairs
             if one.agent_class == two.agent_class
         ),
@@ -103,13 +96,13 @@ def _task_report(runs: Sequence[SuiteRun]) -> TaskReport:
     )
 
 
-def _algorithm_report(runs: Sequence[SuiteRun]) -> AlgorithmReport:
+def _algorithm_report(runs: Sequence[SuiteRun]) -> document.AlgorithmReport:
     algorithm, variant = runs[0].name
     raw, test, train = _table(runs, is_raw=True), _table(runs), _train_tables(runs)
     curves = [run.curve for run in runs if run.curve is not None]
     steps = [run.kart_steps for run in runs if run.kart_steps is not None]
     parts = [run.test.parts() for run in runs]
-    return AlgorithmReport(
+    return document.AlgorithmReport(
         algorithm,
         variant,
         runs[0].agent_class,
@@ -149,7 +142,7 @@ def _on_scale(run: SuiteRun, values: FloatArray) -> FloatArray:
     return (values - zero) / (one - zero)
 
 
-def _power(groups: Iterable[Sequence[SuiteRun]]) -> PowerReport | None:
+def _power(groups: Iterable[Sequence[SuiteRun]]) -> document.PowerReport | None:
     """Returns how many runs a comparison of learned algorithms needs."""
     by_algorithm: dict[str, list[float]] = {}
     for runs in groups:  # other variants are of the same runs
@@ -163,12 +156,12 @@ def _power(groups: Iterable[Sequence[SuiteRun]]) -> PowerReport | None:
     deviation = math.sqrt(squares / freedom)
     if not deviation:
         return None
-    return PowerReport(
+    return document.PowerReport(
         deviation, freedom, {str(size): runs_needed(deviation, size) for size in _DIFFERENCES}
     )
 
 
-def _returns(curves: Sequence[LearningCurve]) -> Band | None:
+def _returns(curves: Sequence[LearningCurve]) -> document.Band | None:
     """Returns the mean of the learning curves where all have values; ``None`` without any."""
     points = []
     for curve in curves:
@@ -184,13 +177,14 @@ def _returns(curves: Sequence[LearningCurve]) -> Band | None:
     values = np.stack([np.interp(x, steps, returns) for steps, returns in points])
     columns = (x, values.mean(axis=0), values.min(axis=0), values.max(axis=0))
     shown, mean, low, high = (tuple(column.round(6).tolist()) for column in columns)
-    return Band(shown, mean, low, high) if len(curves) > 1 else Band(shown, mean, None, None)
+    ends = (low, high) if len(curves) > 1 else (None, None)
+    return document.Band(shown, mean, *ends)
 
 
 # ------------------------------------------------------------------ the files
 
 
-def report_sections(report: SuiteReport, figures: Mapping[str, Path]) -> str:
+def report_sections(report: document.SuiteReport, figures: Mapping[str, Path]) -> str:
     """Returns all tables and figures as Markdown, with headings of level 2.
 
     Args:
@@ -203,7 +197,7 @@ def report_sections(report: SuiteReport, figures: Mapping[str, Path]) -> str:
         figures=figures,
         captions=CAPTIONS,
         interval=_interval,
-        normalized=NORMALIZED,
+        normalized=document.NORMALIZED,
         time_ratio=TIME_RATIO,
     ).strip()
 
@@ -265,7 +259,7 @@ def _curve_steps(curve: LearningCurve) -> list[dict[str, Any]]:
 
 def write_suite_report(
     paths: Iterable[str | os.PathLike[str]], output: str | os.PathLike[str]
-) -> SuiteReport:
+) -> document.SuiteReport:
     """Writes the report of training runs: numbers, tables and figures.
 
     The same entries make the same files.
