@@ -35,15 +35,15 @@ class Scene:
     colors: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        agents = {kart: number for number, kart in enumerate(self.kart_indices)}
-        bots = [kart for kart in range(self.num_kart) if kart not in agents]
-        order = {**agents, **{kart: len(agents) + row for row, kart in enumerate(bots)}}
-        palette = race_palette(self.num_kart)
         karts = range(self.num_kart)
-        object.__setattr__(self, "colors", tuple(palette[order[kart]] for kart in karts))
+        agents_first = dict.fromkeys((*self.kart_indices, *karts))
+        colors = dict(zip(agents_first, race_palette(self.num_kart), strict=True))
+        object.__setattr__(self, "colors", tuple(colors[kart] for kart in karts))
         if not self.names:
-            names = [_name(self, kart, agents.get(kart)) for kart in karts]
-            object.__setattr__(self, "names", tuple(names))
+            default = {kart: f"kart_{agent}" for agent, kart in enumerate(self.kart_indices)}
+            given = enumerate(kart.name for kart in self.setup.karts)
+            names = tuple(name or default.get(kart, "the game") for kart, name in given)
+            object.__setattr__(self, "names", names)
 
     @property
     def num_kart(self) -> int:
@@ -59,13 +59,6 @@ class Scene:
     def label(self, kart: int) -> str:
         """Returns a kart's label on the map: its agent's number, or a dot."""
         return str(self.kart_indices.index(kart)) if kart in self.kart_indices else ""
-
-
-def _name(scene: Scene, kart: int, agent: int | None) -> str:
-    chosen_name = scene.setup.karts[kart].name
-    if agent is None:
-        return chosen_name or "the game"
-    return chosen_name or f"kart_{agent}"
 
 
 @dataclass(frozen=True, eq=False)
