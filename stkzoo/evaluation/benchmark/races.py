@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
@@ -342,6 +342,20 @@ class RaceGroup:
     figures: Mapping[str, Estimate | None]
     clustered: Mapping[str, Estimate | None]
 
+    @classmethod
+    def find(cls, groups: Iterable[RaceGroup], by: str, name: str) -> RaceGroup:
+        """Returns one of several groups.
+
+        Args:
+            groups: the groups.
+            by: what the races have in common.
+            name: name of the group.
+
+        Raises:
+            KeyError: there is no such group.
+        """
+        return {(group.by, group.name): group for group in groups}[by, name]
+
 
 def group_races(
     outcomes: Sequence[RaceOutcome], metrics: Sequence[FigureKind] = FIGURES
@@ -387,17 +401,3 @@ def _clustered(outcomes: Sequence[RaceOutcome], metric: FigureKind) -> Estimate 
             totals[number] += value
             counts[number] += 1
     return estimate_clustered(totals, counts)
-
-
-def find_group(groups: Sequence[RaceGroup], by: str, name: str) -> RaceGroup:
-    """Returns one of several groups.
-
-    Args:
-        groups: the groups.
-        by: what the races have in common.
-        name: name of the group.
-
-    Raises:
-        KeyError: there is no such group.
-    """
-    return {(group.by, group.name): group for group in groups}[by, name]

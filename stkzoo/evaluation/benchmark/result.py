@@ -19,7 +19,6 @@ from stkzoo.evaluation.benchmark.races import (
     FigureKind,
     RaceGroup,
     RaceOutcome,
-    find_group,
     group_races,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
@@ -117,7 +116,7 @@ class BenchmarkResult(AgentBatchResult):
         Raises:
             KeyError: there is no such group.
         """
-        return find_group(self.groups, by, name)
+        return RaceGroup.find(self.groups, by, name)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the result as JSON values."""
@@ -292,7 +291,7 @@ class Comparison(Document):
         Raises:
             KeyError: there is no such group.
         """
-        return find_group(self.differences, by, name)
+        return RaceGroup.find(self.differences, by, name)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the comparison as JSON values."""
