@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +33,11 @@ def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
         ConfigError: matplotlib is not installed, or a file cannot be written.
     """
     files = {}
-    for name, draw in _FIGURES.items():
-        figure = draw(report)
-        if figure is not None:
-            plotting.save_figure(figure, folder / f"{name}.svg")
+    for draw in (learning_curves, scores, improvement):
+        name = draw.__name__
+        if (figure := draw(report)) is not None:
             files[name] = Path(f"{name}.svg")
+            plotting.save_figure(figure, folder / files[name])
     return files
 
 
@@ -99,13 +99,6 @@ def improvement(report: SuiteReport) -> Any:
     title = "Probability of improvement on a track and direction; the line is chance"
     panels = {title: rows} if rows else {}
     return _intervals(panels, _styles(report), is_probability=True)
-
-
-_FIGURES: Mapping[str, Callable[[SuiteReport], Any]] = {
-    "learning_curves": learning_curves,
-    "scores": scores,
-    "improvement": improvement,
-}
 
 
 def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:
