@@ -160,16 +160,13 @@ class TournamentReport:
 
 def _csv(rows: Iterable[Sequence[object]]) -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
+    csv.writer(text, lineterminator="\n").writerows(map(_cell, row) for row in rows)
     return text.getvalue()
 
 
-def _cells(row: Sequence[object]) -> list[object]:
-    """Returns a row whose texts are one line each, and none of them a formula."""
-    return [_cell(value) if isinstance(value, str) else value for value in row]
-
-
-def _cell(text: str) -> str:
-    """Returns a text after a quote if a spreadsheet would run it as a formula."""
-    line = " ".join(text.split())  # some programs begin a row after a carriage return
+def _cell(value: object) -> object:
+    """Returns a text as one line, after a quote if a spreadsheet would run it as a formula."""
+    if not isinstance(value, str):
+        return value
+    line = " ".join(value.split())  # some programs begin a row after a carriage return
     return f"'{line}" if unicodedata.normalize("NFKC", line[:1]).startswith(_FORMULA) else line

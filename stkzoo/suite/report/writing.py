@@ -170,8 +170,6 @@ def _returns(curves: Sequence[LearningCurve]) -> document.Band | None:
         if not known:
             return None
         points.append(np.array(known, float).T)
-    if not points:
-        return None
     start, end = max(steps[0] for steps, _ in points), min(steps[-1] for steps, _ in points)
     x = np.linspace(start, max(start, end), _NUM_POINTS)
     values = np.stack([np.interp(x, steps, returns) for steps, returns in points])
