@@ -22,7 +22,6 @@ can come from several machines, it writes ``report.json``, the source of the doc
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import sys
@@ -195,9 +194,9 @@ def pack(folder: Path, names: Sequence[str], archive: Path, output: Path) -> int
     digests: dict[str, dict[str, str]] = {"archives": {}, "files": {}}
     if (output / "digests.json").exists():
         digests = json.loads((output / "digests.json").read_text())
-    digests["archives"][archive.name] = _sha256(archive)
+    digests["archives"][archive.name] = file_digest(archive)
     digests["files"] |= {
-        path.relative_to(folder).as_posix(): _sha256(path)
+        path.relative_to(folder).as_posix(): file_digest(path)
         for path in packed
         if path.suffix != ".stkz"
     }
@@ -230,10 +229,6 @@ def _kept_evaluation(folder: Path) -> Evaluation:
     entry = Entry.load(folder / ENTRY_FILE)
     results = load_orders(entry.plan.orders(), folder)
     return Evaluation(folder, entry, tuple(results.values()))
-
-
-def _sha256(file: Path) -> str:
-    return file_digest(file, hashlib.sha256())
 
 
 if __name__ == "__main__":

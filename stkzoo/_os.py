@@ -302,13 +302,9 @@ def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
             archive.writestr(entry, data)
 
 
-def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:
-    """Returns the digest of a file's content as hexadecimal digits.
-
-    Args:
-        path: the file.
-        digest: a new hash object of :mod:`hashlib`.
-    """
+def file_digest(path: Path) -> str:
+    """Returns the SHA-256 of a file's content as hexadecimal digits."""
+    digest = hashlib.sha256()
     for block in read_blocks(path):
         digest.update(block)
     return digest.hexdigest()

@@ -101,9 +101,8 @@ class _ConductCounter(RaceListener):
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        options, track = race.env.options, race.env.track_map
-        assert track is not None  # noqa: S101 - the race has started
-        self._events = RaceEvents(track, options.step_size, options.num_kart)
+        options = race.env.options
+        self._events = RaceEvents(race.scene.track_map, options.step_size, options.num_kart)
         self._before, self._karts = race.snapshot, list(race.race_info.kart_indices)
         self.sums = np.zeros((len(self._karts), len(_COLUMNS) + 1))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -138,7 +137,7 @@ def replay_digest(folder: Path, number: int) -> str:
     """
     file = replay_file(folder, number)
     try:
-        return file_digest(file, hashlib.sha256())
+        return file_digest(file)
     except OSError as error:
         raise ConfigError(
             f"{file} cannot be read; delete the result of the race, races/{file.stem}.json, to "
