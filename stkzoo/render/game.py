@@ -19,10 +19,8 @@ from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.names import CameraMode
 from stkzoo.render.motion import game_time, poses_between
-from stkzoo.render.pictures import resized
+from stkzoo.render.pictures import Picture, resized
 from stkzoo.render.scene import Scene
-
-Picture = npt.NDArray[np.uint8]
 
 #: After a longer gap in game time [s], karts jump to their places and cameras get time to settle.
 _LONGEST_WAY = 0.5

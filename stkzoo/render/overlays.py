@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
-from stkzoo.render.pictures import fitted_text, font_of, grid_of, pillow
+from stkzoo.render.pictures import Picture, fitted_text, font_of, grid_of, pillow
 from stkzoo.render.scene import Scene, clock, ordinal, standings
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-Picture = npt.NDArray[np.uint8]
 
 #: One line of the end card: rank, name, color as ``"#rrggbb"``, finish time or status.
 ResultRow = tuple[int, str, str, str]

@@ -17,6 +17,9 @@ from stkzoo._imports import import_extra
 if TYPE_CHECKING:
     from PIL import ImageFont
 
+#: An image, ``(H, W, 3)``.
+Picture = npt.NDArray[np.uint8]
+
 _IN_NO_FONT, _TRIAL_SIZE = "\uffff", 16
 
 
@@ -95,9 +98,6 @@ def fitted_text(text: str, font: ImageFont.FreeTypeFont, room: float) -> str:
     while text and font.getlength(text + "…") > room:
         text = text[:-1]
     return text + "…"
-
-
-Picture = npt.NDArray[np.uint8]
 
 
 def grid_of(number: int) -> tuple[int, int]:

@@ -16,12 +16,10 @@ from stkzoo.errors import AssetError, ConfigError, EngineError
 from stkzoo.names import CameraMode
 from stkzoo.render.game import GameView
 from stkzoo.render.map import MapView
-from stkzoo.render.pictures import tiled
+from stkzoo.render.pictures import Picture, tiled
 from stkzoo.render.scene import Scene
 
 logger = logging.getLogger(__name__)
-
-Picture = npt.NDArray[np.uint8]
 
 #: The render backends; ``"auto"`` is the game if it can render, otherwise the map.
 BACKENDS = ("auto", "engine", "map")
