@@ -190,30 +190,23 @@ class Bars(rich.progress.Progress):
             self._spoken = time.monotonic()
 
 
-class ConsoleProgress(Progress):
-    """Shows the stages of an installation, which have sizes in bytes.
+class ConsoleProgress(Bars, Progress):
+    """Shows the stages of an installation, which have sizes in bytes."""
 
-    Args:
-        bars: where to show them.
-    """
-
-    def __init__(self, bars: Bars) -> None:
-        self._bars = bars
-
-    def begin(self, stage: str, total: int | None = None) -> None:
+    def begin(self, stage: str, total: float | None = None) -> None:
         """Starts a bar for a stage; without a terminal, also prints a line about it."""
         self._size = f" of {megabytes(total)}" if total else ""
-        self._bars.begin(stage, total)
-        if self._bars.disable:
+        super().begin(stage, total)
+        if self.disable:
             self.note(stage + self._size)
 
     def reach(self, done: int) -> None:
         """Updates the bar."""
-        self._bars.show(done, megabytes(done) + self._size)
+        self.show(done, megabytes(done) + self._size)
 
     def note(self, text: str) -> None:
         """Prints a line of text."""
-        say(text, self._bars.console)
+        say(text, self.console)
 
 
 def megabytes(size: float) -> str:

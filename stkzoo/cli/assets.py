@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stkzoo._arguments import option
-from stkzoo.cli._console import Bars, ConsoleProgress, megabytes, show_table
+from stkzoo.cli._console import ConsoleProgress, megabytes, show_table
 from stkzoo.engine import assets
 
 
@@ -111,8 +111,8 @@ def _install(arguments: InstallArguments) -> None:
       stkzoo assets install --source upstream    with the download of pystk2
       stkzoo assets install --from pack.tar.xz   from the pack of another machine
     """
-    with Bars() as bars:
-        new = assets.install(**vars(arguments), progress=ConsoleProgress(bars))
+    with ConsoleProgress() as progress:
+        new = assets.install(**vars(arguments), progress=progress)
     print(f"Ready: {len(new.tracks)} tracks and {len(new.karts)} karts in {new.root}")
 
 
@@ -121,8 +121,8 @@ def _pack(arguments: PackArguments) -> None:
 
     Builds the headless pack from the full data.
     """
-    with Bars() as bars:
-        path = assets.pack(**vars(arguments), progress=ConsoleProgress(bars))
+    with ConsoleProgress() as progress:
+        path = assets.pack(**vars(arguments), progress=progress)
     print(f"Ready: {path}")
 
 

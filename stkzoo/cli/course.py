@@ -28,7 +28,7 @@ from pathlib import Path
 
 from stkzoo._arguments import option, positional
 from stkzoo._imports import python_command
-from stkzoo.cli._console import Bars, ConsoleProgress
+from stkzoo.cli._console import ConsoleProgress
 from stkzoo.cli.new import fill, make_empty, write_agent
 from stkzoo.engine.assets import pack
 from stkzoo.errors import ConfigError
@@ -52,7 +52,7 @@ class CourseArguments:
 def run(arguments: CourseArguments) -> None:
     """Creates the kit and prints what to do next."""
     folder = make_empty(arguments.folder).resolve()
-    with tempfile.TemporaryDirectory(prefix=".stkzoo-", dir=folder) as work, Bars() as bars:
+    with tempfile.TemporaryDirectory(prefix=".stkzoo-", dir=folder) as work:
         kit = Path(work)
         wheels = kit / "wheels"
         wheels.mkdir()
@@ -62,7 +62,8 @@ def run(arguments: CourseArguments) -> None:
         write_agent(agent, agent.name)
         for file in ("README.md", "start", "race.ipynb"):
             fill(f"course-{file}", kit / file, version=version)
-        pack(output=kit / "stk.tar.xz", progress=ConsoleProgress(bars))
+        with ConsoleProgress() as progress:
+            pack(output=kit / "stk.tar.xz", progress=progress)
         for entry in kit.iterdir():
             entry.rename(folder / entry.name)
     quoted, archive = shlex.quote(arguments.folder), shlex.quote(f"{folder.name}.zip")
