@@ -46,15 +46,7 @@ from stkzoo.cli._race_options import ViewingArguments, replay_listeners, replay_
 from stkzoo.cli._race_report import RaceBar, show_race, show_series
 from stkzoo.drivers.failures import in_words
 from stkzoo.errors import AgentError, ConfigError, StkzooError
-from stkzoo.race import (
-    SCHEMA_VERSION,
-    Driver,
-    RaceListener,
-    RaceProgress,
-    RaceResult,
-    RaceSettings,
-    run_race,
-)
+from stkzoo.race import Driver, RaceListener, RaceProgress, RaceResult, RaceSettings, run_race
 from stkzoo.race.listeners import ExpendableListener
 
 _DEMO_DRIVERS = ("pretrained:zenith", "ai:3", "ai:3", "ai:3")
@@ -276,5 +268,5 @@ def _document(results: Sequence[RaceResult], races: int) -> str:
     if races == 1:
         return results[0].to_json()
     series = [json.loads(result.to_json()) for result in results]
-    values = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": series}
+    values = {"type": "race-series", "schema_version": RaceResult.version, "races": series}
     return json.dumps(values, indent=2)

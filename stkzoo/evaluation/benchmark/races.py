@@ -343,6 +343,22 @@ class RaceGroup:
     clustered: Mapping[str, Estimate | None]
 
     @classmethod
+    def all_of(
+        cls, outcomes: Sequence[RaceOutcome], metrics: Sequence[FigureKind]
+    ) -> tuple[RaceGroup, ...]:
+        """Returns the metrics of all races and of groups of races, in display order.
+
+        Args:
+            outcomes: the races.
+            metrics: the metrics.
+        """
+        groups: dict[tuple[str, str], list[RaceOutcome]] = {}
+        for by, name_of in _GROUPINGS.items():
+            for outcome in outcomes:
+                groups.setdefault((by, name_of(outcome)), []).append(outcome)
+        return tuple(_group(by, name, members, metrics) for (by, name), members in groups.items())
+
+    @classmethod
     def find(cls, groups: Iterable[RaceGroup], by: str, name: str) -> RaceGroup:
         """Returns one of several groups.
 
@@ -355,22 +371,6 @@ class RaceGroup:
             KeyError: there is no such group.
         """
         return {(group.by, group.name): group for group in groups}[by, name]
-
-
-def group_races(
-    outcomes: Sequence[RaceOutcome], metrics: Sequence[FigureKind] = FIGURES
-) -> tuple[RaceGroup, ...]:
-    """Returns the metrics of all races and of groups of races, in display order.
-
-    Args:
-        outcomes: the races.
-        metrics: the metrics.
-    """
-    groups: dict[tuple[str, str], list[RaceOutcome]] = {}
-    for by, name_of in _GROUPINGS.items():
-        for outcome in outcomes:
-            groups.setdefault((by, name_of(outcome)), []).append(outcome)
-    return tuple(_group(by, name, members, metrics) for (by, name), members in groups.items())
 
 
 def _group(

@@ -14,13 +14,7 @@ from stkzoo.evaluation import plotting
 from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, RESULT_FILE, describe_differences
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import AgentPlan, BenchmarkPlan, plan_benchmark
-from stkzoo.evaluation.benchmark.races import (
-    FIGURES,
-    FigureKind,
-    RaceGroup,
-    RaceOutcome,
-    group_races,
-)
+from stkzoo.evaluation.benchmark.races import FIGURES, FigureKind, RaceGroup, RaceOutcome
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.race.document import Document
 from stkzoo.race.result import shared_protections
@@ -104,7 +98,7 @@ class BenchmarkResult(AgentBatchResult):
     @cached_property
     def groups(self) -> tuple[RaceGroup, ...]:
         """The metrics of all races and of groups of races."""
-        return group_races(self.races, self.metrics)
+        return RaceGroup.all_of(self.races, self.metrics)
 
     def group(self, by: str = "all", name: str = "") -> RaceGroup:
         """Returns the metrics of a group of races.
@@ -336,7 +330,7 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
             metric.bounds and (-metric.bounds[1], metric.bounds[1]),
         )
 
-    groups = group_races(shared, [minus(metric) for metric in first.metrics])
+    groups = RaceGroup.all_of(shared, [minus(metric) for metric in first.metrics])
     return Comparison(first.label, second.label, groups)
 
 

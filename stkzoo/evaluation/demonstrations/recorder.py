@@ -12,13 +12,7 @@ import numpy.typing as npt
 from stkzoo._checks import check_name
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.demonstrations.dataset import (
-    Columns,
-    Demonstrations,
-    EpisodeFacts,
-    columns_of,
-    join,
-)
+from stkzoo.evaluation.demonstrations.dataset import Demonstrations, EpisodeFacts, columns_of, join
 from stkzoo.mdp import action_of, controls_of, kart_action_space, kart_observation_space
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult
@@ -179,7 +173,7 @@ class _Kart:
         self.ends: list[int] = []
         self.is_over = False
 
-    def columns(self, view: DemoView) -> Columns:
+    def columns(self, view: DemoView) -> dict[str, npt.NDArray[Any]]:
         """Returns the episode as arrays.
 
         The reward of a step is the sum over its parts, with the reward for time once.
