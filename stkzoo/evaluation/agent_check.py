@@ -16,6 +16,9 @@ from stkzoo.drivers.isolated import IsolatedAgent
 from stkzoo.errors import ConfigError
 from stkzoo.race import ActionTime, run_race
 
+#: Measurements of an agent by name, as in :class:`AgentReport`.
+_Measured = dict[str, float | None]
+
 
 @dataclass(frozen=True, slots=True)
 class AgentReport:
@@ -83,13 +86,10 @@ def check_agent(
         raise ConfigError(
             f"{source!r} comes with stkzoo; name your own agent: a folder, a .zip or a .py file"
         )
-    meter = _Meter()
-    measured = replace(
-        driver, start=partial(_MeasuredAgent, files=files, adapter=adapter, meter=meter)
-    )
-    result = run_race(
-        [measured], track=track, max_steps=max_steps, **{**settings, "error_handling": "retire"}
-    )
+    measured: _Measured = {}
+    start = partial(_MeasuredAgent, files=files, adapter=adapter, measured=measured)
+    settings |= {"track": track, "max_steps": max_steps, "error_handling": "retire"}
+    result = run_race([replace(driver, start=start)], **settings)
     (row,) = result.agents
     reason = trace = ""
     if row.errors:
@@ -105,38 +105,29 @@ def check_agent(
         result.steps,
         row.distance,
         row.num_clipped,
-        meter.load_time,
-        row.action_time,
-        meter.memory,
+        thinking_time=row.action_time,
+        **measured,
     )
 
 
-@dataclass(slots=True)
-class _Meter:
-    """The measurements of one agent."""
-
-    load_time: float | None = None
-    memory: float | None = None
-
-
 class _MeasuredAgent(IsolatedAgent):
-    """An agent in a separate process, whose time and memory are measured."""
+    """An agent in a separate process, whose time to load [s] and memory [MB] are measured."""
 
     def __init__(
-        self, request: DriverRequest, files: AgentFiles, adapter: str | None, meter: _Meter
+        self, request: DriverRequest, files: AgentFiles, adapter: str | None, measured: _Measured
     ) -> None:
-        self._meter, self._begin = meter, time.perf_counter()
+        self._measured, self._begin = measured, time.perf_counter()
         super().__init__(request, files, adapter)
 
     def ready(self) -> str:
         """Waits until the agent is loaded and returns its name."""
         name = super().ready()
-        self._meter.load_time = time.perf_counter() - self._begin
-        self._meter.memory = self.peak_memory()
+        self._measured["load_time"] = time.perf_counter() - self._begin
+        self._measured["memory"] = self.peak_memory()
         return name
 
     def answer(self) -> Decision:
         """Waits for the agent's decision and returns it."""
         decision = super().answer()
-        self._meter.memory = self.peak_memory()
+        self._measured["memory"] = self.peak_memory()
         return decision
