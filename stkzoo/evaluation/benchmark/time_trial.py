@@ -26,13 +26,6 @@ from stkzoo.records import HUMAN_RECORDS, RECORD_DIFFICULTY, RECORD_KART, HumanR
 
 #: A track counts as close to the record up to this multiple of the record.
 CLOSE = 1.15
-#: Settings of every race, as in the records.
-_CONDITIONS: dict[str, Any] = {
-    "mode": TIME_TRIAL,
-    "kart": RECORD_KART,
-    "difficulty": RECORD_DIFFICULTY,
-    "reverse": False,
-}
 #: The agent drives alone.
 _FORM = BenchmarkForm.of("P")
 
@@ -156,7 +149,8 @@ def plan_time_trial(
             record.
         AssetError: the game's data is missing.
     """
-    chosen = measured_settings(settings, changes, **_CONDITIONS)
+    conditions = {"kart": RECORD_KART, "difficulty": RECORD_DIFFICULTY, "reverse": False}
+    chosen = measured_settings(settings, changes, mode=TIME_TRIAL, **conditions)
     tracks = find_tracks(split, chosen)
     return TimeTrialPlan(
         agents=find_agents([agent], chosen),
