@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from stkzoo.suite import SuiteReport
-from stkzoo.suite.report.figures import draw_figures
-from stkzoo.suite.report.writing import CAPTIONS, report_sections
+from stkzoo.suite.report.figures import FIGURES, draw_figures
+from stkzoo.suite.report.writing import report_sections
 
 REPORT = Path(__file__).parents[2] / "benchmarks" / "results" / "suite" / "report.json"
 PICTURES = Path(__file__).parents[1] / "images" / "suite"
@@ -23,7 +23,7 @@ _NOTHING = "The reference runs of this version of the suite have not been measur
 
 def pages() -> dict[str, str]:
     """Returns the text of the page."""
-    files = {name: Path("../images/suite", f"{name}.svg") for name in CAPTIONS}
+    files = {name: Path("../images/suite", f"{name}.svg") for name in FIGURES}
     figures = {name: file for name, file in files.items() if (PICTURES / file.name).exists()}
     text = report_sections(SuiteReport.load(REPORT), figures) if REPORT.exists() else _NOTHING
     return {"explanation/suite-results.md": f"{_HEAD}\n{text}\n"}

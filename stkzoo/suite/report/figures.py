@@ -33,8 +33,7 @@ def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
         ConfigError: matplotlib is not installed, or a file cannot be written.
     """
     files = {}
-    for draw in (learning_curves, scores, improvement):
-        name = draw.__name__
+    for name, draw in FIGURES.items():
         if (figure := draw(report)) is not None:
             files[name] = Path(f"{name}.svg")
             plotting.save_figure(figure, folder / files[name])
@@ -99,6 +98,10 @@ def improvement(report: SuiteReport) -> Any:
     title = "Probability of improvement on a track and direction; the line is chance"
     panels = {title: rows} if rows else {}
     return _intervals(panels, _styles(report), is_probability=True)
+
+
+#: The functions that draw the figures, by name of the figure.
+FIGURES = {draw.__name__: draw for draw in (learning_curves, scores, improvement)}
 
 
 def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:

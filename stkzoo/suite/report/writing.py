@@ -37,13 +37,6 @@ _SECONDS_PER_HOUR = 3600.0
 _DIFFERENCES = (0.05, 0.1)
 #: Names of MARL-eval's metrics by fields of :class:`~stkzoo.suite.report.runs.LearningCurve`.
 _METRICS = {"returns": "return", "finished": "finished", "position": "position"}
-#: Captions of the figures, by name.
-CAPTIONS = {
-    "learning_curves": "Mean return of the training races. Bands contain all runs.",
-    "scores": "Interquartile mean on the test tracks, with 95% intervals.",
-    "improvement": "Probability that a run of the first algorithm is better than one of the "
-    "second on a track and direction, with 95% intervals.",
-}
 
 
 # ------------------------------------------------------------------ the numbers
@@ -193,7 +186,6 @@ def report_sections(report: document.SuiteReport, figures: Mapping[str, Path]) -
         Path(__file__).with_name("sections.md.jinja"),
         report=report,
         figures=figures,
-        captions=CAPTIONS,
         interval=_interval,
         normalized=document.NORMALIZED,
         time_ratio=TIME_RATIO,
