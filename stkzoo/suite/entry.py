@@ -32,8 +32,6 @@ from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 
 #: Name of the file with the scores in the folder of an entry.
 ENTRY_FILE = "entry.json"
-#: Settings of the races that the task sets.
-DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths", "adapter", "teams")
 #: Splits of a task's tracks. Only an evaluation on the test tracks is an entry.
 TEST, TRAIN = "test", "train"
 _BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
@@ -74,7 +72,7 @@ class EntryPlan(BenchmarkPlan):
     type_name: ClassVar[str] = "suite-plan"
     noun: ClassVar[str] = "entry"
     resume_command: ClassVar[str] = "stkzoo suite evaluate TASK AGENT --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
+    decided: ClassVar[tuple[str, ...]] = (*BenchmarkPlan.decided, "max_paths", "adapter", "teams")
     changeable: ClassVar[tuple[str, ...]] = (*BenchmarkPlan.changeable, "about")
     has_population: ClassVar[bool] = True
 
