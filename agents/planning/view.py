@@ -171,7 +171,7 @@ class _SurroundingsObserver:
         if is_block and len(snapshot.karts) <= _KARTS and len(snapshot.items) <= _ITEMS:
             block = slice(int(rows[0]), int(rows[-1]) + 1)
             arrays = tuple(batch[key][block] for key in _AROUND)
-            observer.write_surroundings(snapshot, karts, ALL_LOOKS, arrays)
+            observer.surroundings(snapshot, karts, ALL_LOOKS, arrays)
             batch["phase"][block] = snapshot.phase
             return
         around = observer.surroundings(snapshot, karts, ALL_LOOKS)

@@ -29,8 +29,7 @@ from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarOb
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, racing_features
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, STEP
-from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadTable
-from stkzoo.wrappers.racing.wrapper import RoadObserver
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadObserver
 from tests import oracle
 from tests.support.kernel_users import replaced_kernel
 from tests.support.views import MECHANISMS, marked
@@ -264,11 +263,10 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
     karts["powerup_num"], karts["jumping"] = random.integers(0, 20, 9), random.integers(0, 2, 9)
     items["type"] = random.choice(list(ItemType), 12)
     snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
-    table, who = road_of(random), np.arange(9)
-    observer, seen, twin = RoadObserver(table), *np.empty((2, 9, SIZE), np.float32)
+    observer, who = RoadObserver.__new__(RoadObserver), np.arange(9)
+    observer.road, (seen, twin) = road_of(random), np.empty((2, 9, SIZE), np.float32)
     observer.observe_into(snapshot, who, who, seen)
-    road = table.lines, table.starts, table.along, STEP
-    oracle.observe_racing(road, KERNEL_TABLES, snapshot.data, who, who, twin)
+    oracle.observe_racing(observer.road, KERNEL_TABLES, snapshot.data, who, who, twin)
     np.testing.assert_allclose(seen, twin, atol=2e-4)
     around = observer.surroundings(snapshot, who)
     np.testing.assert_array_equal(racing_features(around), seen)
@@ -280,14 +278,11 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
 
 
 def road_of(random):
-    """Returns a road table with a winding line and one segment, which may have length 0."""
-    road = RoadTable.__new__(RoadTable)
-    road.length = 100.0
+    """Returns a road with a winding line and one segment, which may have length 0."""
     steps = random.normal([0.0, 0.0, 2.0, 0.0], 0.6, (1, NUM_POINTS, 4))
-    road.lines = np.cumsum(steps, axis=1).astype("f4")
-    road.starts = random.normal(size=(1, 3)).astype("f4") * 5
-    road.along = (random.normal(size=(1, 3)) * random.choice([0, 1, 10, 30])).astype("f4")
-    return road
+    starts = random.normal(size=(1, 3)).astype("f4") * 5
+    along = (random.normal(size=(1, 3)) * random.choice([0, 1, 10, 30])).astype("f4")
+    return np.cumsum(steps, axis=1).astype("f4"), starts, along, STEP
 
 
 @pytest.mark.slow

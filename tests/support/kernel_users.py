@@ -5,7 +5,7 @@ import importlib
 
 from stkzoo.engine.track import decode_track
 from stkzoo.mdp import rewards
-from stkzoo.wrappers.racing.wrapper import road_observer
+from stkzoo.wrappers.racing import road_observer
 
 #: The modules that use the kernel's names.
 USERS = {
@@ -21,8 +21,9 @@ USERS = {
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.observations": ["to_polar"],
-    "wrappers.racing.surroundings": ["join_rows", "trace_roads"],
-    "wrappers.racing.wrapper": ["look_around", "observe_racing", "write_racing_view"],
+    "wrappers.racing.surroundings": [
+        *("join_rows", "look_around", "observe_racing", "trace_roads", "write_racing_view"),
+    ],
 }
 
 

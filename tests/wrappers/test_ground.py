@@ -21,7 +21,6 @@ from stkzoo.race import find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.wrappers.racing import ground_observer
 from stkzoo.wrappers.racing.racing_line import GroundTable
-from stkzoo.wrappers.racing.surroundings import RoadTable
 from tests.engine.test_ground import FLOOR, ground_with, plate, wall
 from tests.support.remote_race import server_thread
 
@@ -60,7 +59,7 @@ def ahead():
         plate((-1.0, 1.0), (22, 26), 0.05, is_zipper=True),
         plate((6.5, 10), (0, 40), 0.05, speed=0.5),
     )
-    table = GroundTable(RoadTable(straight_track()), ground)
+    table = GroundTable(straight_track(), ground)
     return table.ahead(np.array([0, 1]), np.array([[0.3, 0.5, 0.0], [0.0, 0.5, 6.0]], np.float32))
 
 

@@ -13,7 +13,13 @@ from stkzoo.wrappers.racing.features import (
     SIZE,
 )
 from stkzoo.wrappers.racing.racing_line import ground_observer, racing_line
-from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
+from stkzoo.wrappers.racing.surroundings import (
+    ABSENT,
+    Surroundings,
+    racing_features,
+    road_observer,
+    surroundings_of,
+)
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
     CHOICE_NAMES,
@@ -26,8 +32,6 @@ from stkzoo.wrappers.racing.wrapper import (
     RacingObservations,
     choices_of_action,
     controls_of_choices,
-    racing_features,
-    road_observer,
 )
 
 __all__ = [

@@ -22,8 +22,7 @@ from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_LINE_MARKS, GROUND_MARKS
 from stkzoo.names import GroundKind
 from stkzoo.wrappers.racing.features import STEP
-from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadTable
-from stkzoo.wrappers.racing.wrapper import RoadObserver
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadObserver, road_observer
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
@@ -245,18 +244,18 @@ class GroundTable:
     """The ground beside the lines ahead of all segments of a track.
 
     Args:
-        road: the lines.
+        track: map of the track.
         ground: ground and walls of the track.
     """
 
-    def __init__(self, road: RoadTable, ground: Ground) -> None:
-        self._starts, self._along = road.starts, road.along
-        shape = (len(road.lines), NUM_POINTS, len(GROUND_LANES))
+    def __init__(self, track: TrackMap, ground: Ground) -> None:
+        lines, self._starts, self._along, _ = road_observer(track).road
+        shape = (len(lines), NUM_POINTS, len(GROUND_LANES))
         self._places = np.empty(shape, np.uint8)
         self._speeds = np.empty(shape, np.float32)
-        for begin in range(0, len(road.lines), _CHUNK):
+        for begin in range(0, len(lines), _CHUNK):
             part = slice(begin, begin + _CHUNK)
-            self._places[part], self._speeds[part] = _look(road.lines[part, :, :3], ground)
+            self._places[part], self._speeds[part] = _look(lines[part, :, :3], ground)
 
     def ahead(
         self, nodes: npt.NDArray[np.integer], locations: FloatArray
@@ -293,13 +292,11 @@ class GroundObserver:
     """
 
     def __init__(self, track: TrackMap, ground: Ground) -> None:
-        self._table = GroundTable(RoadTable(track), ground)
+        self._table = GroundTable(track, ground)
         line = racing_line(track, ground)
         self._lines = [
             RoadObserver(
-                RoadTable(
-                    replace(track, path_nodes=line.nodes, path_width=2 * line.rooms[:, [side]])
-                )
+                replace(track, path_nodes=line.nodes, path_width=2 * line.rooms[:, [side]])
             )
             for side in range(2)
         ]

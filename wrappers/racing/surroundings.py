@@ -8,6 +8,7 @@ segments.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import join_rows, trace_roads
-from stkzoo.wrappers.racing.features import LOOKS, OWN_PLACES, STEP
+from stkzoo.kernel import join_rows, look_around, observe_racing, trace_roads, write_racing_view
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_PLACES, OWN_SIZE, SIZE, STEP
 
 if TYPE_CHECKING:
+    from stkzoo.engine.snapshot import Snapshot
     from stkzoo.engine.track import TrackMap
 
 FloatArray = npt.NDArray[np.float32]
@@ -76,26 +78,6 @@ def traced(
     return lines, points
 
 
-class RoadTable:
-    """The lines ahead of all segments of a track.
-
-    Attributes:
-        lines: ``(N, NUM_POINTS, 4)`` float32, world frame; see :func:`traced`.
-        starts: ``(N, 3)`` float32, start of each segment [m].
-        along: ``(N, 3)`` float32, vector from each segment's start to its end [m].
-        length: length of a lap [m].
-    """
-
-    def __init__(self, track: TrackMap) -> None:
-        self.length = track.length
-        self.starts = np.ascontiguousarray(track.path_nodes[:, 0])
-        self.along = track.path_nodes[:, 1] - track.path_nodes[:, 0]
-        ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
-        ends, widths = track.path_nodes[:, 1], track.path_width[:, 0]
-        counts = np.full(len(ahead), ahead.shape[1])
-        self.lines, _ = traced(self.starts[ahead], ends[ahead], widths[ahead], counts)
-
-
 #: Type number of a missing item.
 ABSENT = -1
 
@@ -128,6 +110,90 @@ class Surroundings:
         """The arrays without the line, in order, C-contiguous."""
         arrays = self.ego, self.road, self.karts, self.items, self.item_types
         return tuple(map(np.ascontiguousarray, arrays))
+
+
+class RoadObserver:
+    """Makes the racing view and the surroundings of karts on one road directly from snapshots.
+
+    It returns the same values as the wrapper but skips the ``full`` observation.
+
+    Args:
+        track: map of the track.
+
+    Attributes:
+        road: lines ahead of all segments, ``(N, NUM_POINTS, 4)`` float32, see :func:`traced`;
+            start of each segment [m] and vector from there to its end [m], ``(N, 3)`` float32; all
+            in the world frame; and the distance between two points of a line [m].
+    """
+
+    def __init__(self, track: TrackMap) -> None:
+        starts, ends = np.ascontiguousarray(track.path_nodes[:, 0]), track.path_nodes[:, 1]
+        ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
+        counts = np.full(len(ahead), ahead.shape[1])
+        lines, _ = traced(starts[ahead], ends[ahead], track.path_width[ahead, 0], counts)
+        self.road = lines, starts, ends - starts, STEP
+
+    def observe_into(
+        self, snapshot: Snapshot, karts: IntArray, rows: IntArray, views: FloatArray
+    ) -> None:
+        """Writes the views of some karts into rows of an array.
+
+        Args:
+            snapshot: current snapshot of the race.
+            karts: ``(A,)`` indices of the karts.
+            rows: ``(A,)`` row of each kart.
+            views: ``(N, F)`` float32; the first ``SIZE`` columns are modified in place.
+        """
+        observe_racing(self.road, KERNEL_TABLES, snapshot.data, karts, rows, views)
+
+    def surroundings(
+        self,
+        snapshot: Snapshot,
+        karts: IntArray,
+        looks: FloatArray = LOOKS,
+        arrays: tuple[npt.NDArray[Any], ...] = (),
+    ) -> Surroundings:
+        """Returns the surroundings of some karts.
+
+        Args:
+            snapshot: current snapshot of the race.
+            karts: ``(A,)`` indices of the karts.
+            looks: ``(L,)`` float32, distances at which the road is observed [m].
+            arrays: the first five arrays of :class:`Surroundings`, to be written; by default, new
+                ones. Rows without a kart are infinite; items that are missing have the type
+                :data:`ABSENT`.
+        """
+        count, num_items = len(karts), len(snapshot.items)
+        arrays = arrays or (
+            np.empty((count, OWN_SIZE), np.float32),
+            np.empty((count, len(looks), 4), np.float32),
+            np.empty((count, len(snapshot.karts), 3), np.float32),
+            np.empty((count, num_items, 3), np.float32),
+            np.empty((count, num_items), np.int64),
+        )
+        look_around(self.road, snapshot.data, karts, looks, arrays)
+        return Surroundings(*arrays)
+
+
+@functools.lru_cache(maxsize=64)
+def road_observer(track: TrackMap) -> RoadObserver:
+    """Returns the observer of a track; takes a few milliseconds the first time in a process."""
+    return RoadObserver(track)
+
+
+def racing_features(around: Surroundings, out: FloatArray | None = None) -> FloatArray:
+    """Returns the view of A karts.
+
+    Args:
+        around: surroundings of the karts, with the road at :data:`LOOKS` first.
+        out: array ``(A, F)`` whose first ``SIZE`` columns receive the view; ``None`` for a new one.
+
+    Returns:
+        ``(A, SIZE)`` float32, or ``out``.
+    """
+    view = np.empty((len(around.road), SIZE), np.float32) if out is None else out
+    write_racing_view(KERNEL_TABLES, around.arrays, view)
+    return view
 
 
 def surroundings_of(

@@ -1,9 +1,8 @@
-"""The racing view as wrappers around one kart, and directly from snapshots."""
+"""The wrappers of the racing view."""
 
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +12,20 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo._checks import shortened
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import look_around, observe_racing, write_racing_view
 from stkzoo.mdp.spaces import action_of
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
-from stkzoo.wrappers.racing.features import CONTEST_SIZE, KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE, STEP
+from stkzoo.wrappers.racing.features import CONTEST_SIZE, SIZE
 from stkzoo.wrappers.racing.surroundings import (
     MAX_SEGMENTS,
-    RoadTable,
-    Surroundings,
+    racing_features,
+    road_observer,
     surroundings_of,
 )
 
 if TYPE_CHECKING:
-    from stkzoo.engine.track import TrackMap
     from stkzoo.kernel import KartObserver
     from stkzoo.views.plan import ObservationSource, ViewPlan
 
@@ -88,7 +85,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
         if not plan.is_full(self._extras):
             return False
-        plan.observer = self._observer(plan.new_observer())
+        plan.observer = _RacingObserver(plan.new_observer(), "standing" in self._extras)
         return True
 
     def observation(self, observation: dict[str, Any]) -> Any:
@@ -97,10 +94,6 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         if not self._has_action:
             return vector
         return {"action": observation["action"], "observation": vector}
-
-    @property
-    def _observer(self) -> type[_RacingObserver]:
-        return _RacingObserver
 
     def _vector(self, observation: Mapping[str, Any]) -> FloatArray:
         vector: FloatArray = racing_features(surroundings_of(observation))[0]
@@ -121,10 +114,6 @@ class ContestObservations(RacingObservations, CompiledWrapper):
 
     _size, _extras = CONTEST_SIZE, frozenset({"standing"})
 
-    @property
-    def _observer(self) -> type[_RacingObserver]:
-        return _ContestObserver
-
     def _vector(self, observation: Mapping[str, Any]) -> FloatArray:
         return np.concatenate([super()._vector(observation), observation["standing"]])
 
@@ -132,123 +121,21 @@ class ContestObservations(RacingObservations, CompiledWrapper):
 class _RacingObserver:
     """Makes the vectors of several karts directly from the game's records."""
 
-    def __init__(self, full: KartObserver) -> None:
-        self._full = full
+    def __init__(self, full: KartObserver, sees_standing: bool) -> None:
+        self._full, self._sees_standing = full, sees_standing
 
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
     ) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
-        if _is_short(source):
+        _, num_paths, _ = source.course
+        if num_paths < min(MAX_SEGMENTS, source.track_map.num_nodes):  # the vector needs more
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
             batch[rows, :SIZE] = racing_features(surroundings_of(seen))
         else:
             road_observer(source.track_map).observe_into(source.snapshot, karts, rows, batch)
-
-
-class _ContestObserver(_RacingObserver):
-    """Makes the vectors of :class:`ContestObservations`."""
-
-    def observe_into(
-        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
-    ) -> None:
-        """See :class:`~stkzoo.views.plan.RowObserver`."""
-        super().observe_into(source, karts, rows, batch)
-        source.standing_into(karts, rows, batch, SIZE)
-
-
-def _is_short(source: ObservationSource) -> bool:
-    """Returns whether karts observe fewer segments than the vector needs."""
-    _, num_paths, _ = source.course
-    return bool(num_paths < min(MAX_SEGMENTS, source.track_map.num_nodes))
-
-
-class RoadObserver:
-    """Makes the racing view and the surroundings of karts on one road directly from snapshots.
-
-    It returns the same values as the wrapper but skips the ``full`` observation.
-
-    Args:
-        road: lines of the road.
-    """
-
-    def __init__(self, road: RoadTable) -> None:
-        self._road = road.lines, road.starts, road.along, STEP
-
-    def observe_into(
-        self, snapshot: Snapshot, karts: IntArray, rows: IntArray, views: FloatArray
-    ) -> None:
-        """Writes the views of some karts into rows of an array.
-
-        Args:
-            snapshot: current snapshot of the race.
-            karts: ``(A,)`` indices of the karts.
-            rows: ``(A,)`` row of each kart.
-            views: ``(N, F)`` float32; the first ``SIZE`` columns are modified in place.
-        """
-        observe_racing(self._road, KERNEL_TABLES, snapshot.data, karts, rows, views)
-
-    def surroundings(
-        self, snapshot: Snapshot, karts: IntArray, looks: FloatArray = LOOKS
-    ) -> Surroundings:
-        """Returns the surroundings of some karts.
-
-        Args:
-            snapshot: current snapshot of the race.
-            karts: ``(A,)`` indices of the karts.
-            looks: ``(L,)`` distances at which the road is observed [m].
-        """
-        count = len(karts)
-        arrays = (
-            np.empty((count, OWN_SIZE), np.float32),
-            np.empty((count, len(looks), 4), np.float32),
-            np.empty((count, len(snapshot.karts), 3), np.float32),
-            np.empty((count, len(snapshot.items), 3), np.float32),
-            np.empty((count, len(snapshot.items)), np.int64),
-        )
-        self.write_surroundings(snapshot, karts, looks, arrays)
-        return Surroundings(*arrays)
-
-    def write_surroundings(
-        self,
-        snapshot: Snapshot,
-        karts: IntArray,
-        looks: FloatArray,
-        arrays: tuple[npt.NDArray[Any], ...],
-    ) -> None:
-        """Does the same as :meth:`surroundings` with given arrays.
-
-        Args:
-            snapshot: current snapshot of the race.
-            karts: ``(A,)`` indices of the karts.
-            looks: ``(L,)`` distances at which the road is observed [m].
-            arrays: the first five arrays of :class:`~.surroundings.Surroundings`, which are
-                written. Rows without a kart are infinite; items that are missing have the type
-                :data:`~.surroundings.ABSENT`.
-        """
-        looks = np.ascontiguousarray(looks, np.float32)
-        look_around(self._road, snapshot.data, karts, looks, arrays)
-
-
-def racing_features(around: Surroundings, out: FloatArray | None = None) -> FloatArray:
-    """Returns the view of A karts.
-
-    Args:
-        around: surroundings of the karts, with the road at :data:`~.road.LOOKS` first.
-        out: array ``(A, F)`` whose first ``SIZE`` columns receive the view; ``None`` for a new one.
-
-    Returns:
-        ``(A, SIZE)`` float32, or ``out``.
-    """
-    view = np.empty((len(around.road), SIZE), np.float32) if out is None else out
-    write_racing_view(KERNEL_TABLES, around.arrays, view)
-    return view
-
-
-@functools.lru_cache(maxsize=64)
-def road_observer(track: TrackMap) -> RoadObserver:
-    """Returns the observer of a track; takes a few milliseconds the first time in a process."""
-    return RoadObserver(RoadTable(track))
+        if self._sees_standing:
+            source.standing_into(karts, rows, batch, SIZE)
 
 
 class RacingActions(ActionFormWrapper, CompiledWrapper):
