@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from stkzoo import RaceParallelEnv
 from stkzoo.errors import ConfigError
 
-from .candidates import Candidate
+from .copies import Candidate
 from .planner import Planner, PlannerSettings, base_policy, only_agent
 
 __all__ = [

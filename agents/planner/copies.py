@@ -1,18 +1,85 @@
-"""Copies of a running race in which candidates are driven side by side."""
+"""Candidates of the search, and copies of a running race in which they are driven.
+
+A candidate is a change of a base policy's choices for some steps.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from stkzoo import RaceParallelEnv
-from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo.agents.planning import FloatArray, IntArray
+from stkzoo.agents.planning.driver import HEADS, OFFSETS, PlanDriver, PolicyInput, likeliest
+from stkzoo.agents.planning.worth import LEAST_LOGIT
 from stkzoo.race.rescues import RescueCounter
 
-from .candidates import Candidate, Choose, changed
-
 Observation = Mapping[str, Any]
+#: Returns a policy's choices ``(A, 4)``; ``None`` takes the prior's most likely ones.
+Choose = Callable[[PolicyInput], IntArray]
+
+#: A maneuver without a plan at the moment has at most this logit in the prior.
+_NO_PLAN = LEAST_LOGIT + 1
+_BEGIN, _TURN, _NITRO = range(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A change of the base policy's choices that holds for several steps.
+
+    Attributes:
+        shift: added to the index of the chosen offset in
+            :data:`stkzoo.agents.planning.driver.OFFSETS`.
+        steps: number of steps for which the change holds.
+        maneuver: maneuver instead of the chosen one; ``None`` keeps the chosen one.
+        flips_nitro: whether nitro is used if the base policy does not use it, and the reverse.
+    """
+
+    shift: int = 0
+    steps: int = 0
+    maneuver: int | None = None
+    flips_nitro: bool = False
+
+    def rest(self, done: int) -> Candidate:
+        """Returns what remains of the candidate after some steps."""
+        return replace(self, steps=max(self.steps - done, 0))
+
+    def change(self, choices: IntArray, begin: FloatArray, step: int) -> None:
+        """Changes the choices of one kart in a step.
+
+        Args:
+            choices: ``(4,)`` choices of the base policy, which change.
+            begin: ``(4,)`` the prior's logits of the maneuvers.
+            step: number of steps since the candidate began.
+        """
+        if step >= self.steps:
+            return
+        if self.maneuver is not None and begin[self.maneuver] > _NO_PLAN:
+            choices[_BEGIN] = self.maneuver
+        choices[_NITRO] ^= self.flips_nitro
+        choices[_TURN] = np.clip(choices[_TURN] + self.shift, 0, len(OFFSETS) - 1)
+
+
+def changed(choose: Choose | None, candidates: Sequence[Candidate], step: int) -> Choose:
+    """Returns the base policy with the change of one candidate for each kart.
+
+    Args:
+        choose: the base policy.
+        candidates: one candidate for each row of the policy's input.
+        step: number of steps since the candidates began.
+    """
+
+    def choose_changed(view: PolicyInput) -> IntArray:
+        chosen = likeliest(view.prior) if choose is None else choose(view)
+        for candidate, row, prior in zip(candidates, chosen, view.prior, strict=True):
+            candidate.change(row, prior[HEADS[_BEGIN]], step)
+        return chosen
+
+    return choose_changed
 
 
 class RaceCopy:
@@ -21,6 +88,16 @@ class RaceCopy:
     Args:
         env: environment of the copy, which :meth:`begin` makes follow the race.
         agent: id of the agent that plans.
+
+    Attributes:
+        driver: state of the base policy.
+        candidate: the candidate that is driven.
+        observation: current observation of the agent.
+        steps: number of steps since the copy began.
+        distance: distance that the kart has driven in the race [m].
+        length: length of the race [m].
+        seconds_to_finish: time from the beginning of the copy to the finish [s]; ``None`` before
+            the finish.
     """
 
     def __init__(self, env: RaceParallelEnv, agent: str) -> None:
@@ -43,13 +120,15 @@ class RaceCopy:
         """
         self._env.follow(env)
         self.driver, self.candidate = copy.deepcopy(driver), candidate
-        self.observation = observation
-        self.steps, self.distance, self.finish_time = 0, 0.0, 0.0
-        assert self._env.race is not None  # noqa: S101 - since follow
-        self._race, index = self._env.race, self._env.possible_agents.index(self._agent)
-        self._kart = self._race.kart_indices[index]
-        assert self._env.snapshot is not None  # noqa: S101 - since follow
-        self._begin = float(self._env.snapshot.header["time"])
+        self.observation, self.steps, self.distance = observation, 0, 0.0
+        race, track, snapshot = self._env.race, self._env.track_map, self._env.snapshot
+        assert race is not None  # noqa: S101 - since follow
+        assert track is not None  # noqa: S101 - since follow
+        assert snapshot is not None  # noqa: S101 - since follow
+        self.length = track.length * race.laps
+        self.seconds_to_finish: float | None = None
+        self._begin = float(snapshot.header["time"])
+        self._kart = race.kart_indices[self._env.possible_agents.index(self._agent)]
         self._rescues = RescueCounter(self._env.options.num_kart)
 
     @property
@@ -58,30 +137,9 @@ class RaceCopy:
         return self._agent not in self._env.agents
 
     @property
-    def length(self) -> float:
-        """Length of the race [m]."""
-        assert self._env.track_map is not None  # noqa: S101 - since follow
-        return self._env.track_map.length * self._race.laps
-
-    @property
-    def seconds_to_finish(self) -> float | None:
-        """Time from the beginning of the copy to the finish [s]; ``None`` before the finish."""
-        return self.finish_time - self._begin if self.finish_time else None
-
-    @property
     def num_rescues(self) -> int:
         """Number of rescues of the kart in this copy."""
         return int(self._rescues.counts[self._kart])
-
-    @property
-    def speed(self) -> float:
-        """Forward speed of the kart [m/s]."""
-        return float(self.observation["velocity"][2])
-
-    @property
-    def energy(self) -> float:
-        """Remaining nitro [s]."""
-        return float(self.observation["energy"][0])
 
     def request_step(self, action: Mapping[str, Any]) -> None:
         """Starts a step and returns while the game computes it."""
@@ -94,7 +152,9 @@ class RaceCopy:
         assert snapshot is not None  # noqa: S101 - since a step
         self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
         self.observation, info = observations[self._agent], infos[self._agent]
-        self.distance, self.finish_time = float(info["distance"]), float(info["finish_time"])
+        self.distance = float(info["distance"])
+        if info["finish_time"]:
+            self.seconds_to_finish = float(info["finish_time"]) - self._begin
         self.steps += 1
 
     def close(self) -> None:

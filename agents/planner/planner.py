@@ -14,14 +14,16 @@ from stkzoo._checks import check_whole
 from stkzoo.agents import heuristic, pretrained
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.motion import STEP
+from stkzoo.agents.planning.plans import MANEUVERS
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
 
-from .candidates import Candidate, Choose, changed, draw_candidate
-from .copies import RaceCopy, drive_copies
+from .copies import Candidate, Choose, RaceCopy, changed, drive_copies
 
 _PRETRAINED = "pretrained:"
+#: Number by which a candidate changes the index of the offset.
+_SHIFTS = (-3, -2, -1, 1, 2, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,14 +162,18 @@ class Planner:
         return self._ranked(finalists)[0].candidate
 
     def _draw(self) -> list[Candidate]:
-        settings = self.settings
         candidates = [Candidate(), self._candidate.rest(self._step)]
-        while len(candidates) < settings.num_candidates:
-            drawn = draw_candidate(
-                self._random, settings.holds, settings.maneuver_chance, settings.nitro_chance
-            )
-            candidates.append(drawn)
-        return candidates[: settings.num_candidates]
+        while len(candidates) < self.settings.num_candidates:
+            candidates.append(self._draw_candidate())
+        return candidates[: self.settings.num_candidates]
+
+    def _draw_candidate(self) -> Candidate:
+        settings, random = self.settings, self._random
+        shift, steps = int(random.choice(_SHIFTS)), int(random.choice(settings.holds))
+        maneuver = int(random.integers(MANEUVERS))
+        chances = settings.maneuver_chance, settings.nitro_chance
+        is_other, flips_nitro = random.random(2) < chances
+        return Candidate(shift, steps, maneuver if is_other else None, bool(flips_nitro))
 
     def _ranked(self, copies: Sequence[RaceCopy]) -> list[RaceCopy]:
         """Returns the copies in the order of their worth, best first."""
@@ -184,8 +190,10 @@ class Planner:
         if race.seconds_to_finish is not None:
             left = seconds - race.seconds_to_finish
             return race.length + settings.finish_speed * (left + settings.speed_weight)
-        usable = min(race.energy, max(race.length - race.distance, 0.0) / settings.finish_speed)
-        bonus = settings.speed_weight * race.speed + settings.energy_weight * usable
+        speed = float(race.observation["velocity"][2])
+        energy = float(race.observation["energy"][0])  # nitro left [s]
+        usable = min(energy, max(race.length - race.distance, 0.0) / settings.finish_speed)
+        bonus = settings.speed_weight * speed + settings.energy_weight * usable
         return race.distance + bonus - settings.rescue_cost * race.num_rescues
 
 
