@@ -128,7 +128,7 @@ class PolicyInput:
     """Input of a policy for A karts.
 
     Attributes:
-        inputs: ``(A, INPUT_SIZE)`` float32.
+        inputs: ``(A, INPUT_SIZE)`` float32; empty for a policy that needs only the prior.
         prior: ``(A, sum(CHOICES))`` float32.
     """
 
@@ -187,8 +187,9 @@ class PlanDriver:
             active = [drivers[number] for number in racing]
             driver = active[0] if len(active) == 1 else PlanDriver._joined(active)
             looks = LINE_MARKS if choose is None else ALL_LOOKS
-            seen = surroundings_of([observations[number] for number in racing], looks)
-            chosen = likeliest(driver.plan(seen)) if choose is None else choose(driver.look(seen))
+            around = surroundings_of([observations[number] for number in racing], looks)
+            seen = driver.look(around, has_inputs=choose is not None)
+            chosen = likeliest(seen.prior) if choose is None else choose(seen)
             controls[racing], _ = driver.act(chosen)
             if len(active) > 1:
                 for row, one in enumerate(active):
@@ -201,39 +202,29 @@ class PlanDriver:
         joined.memory = DriverMemory.joined([driver.memory for driver in drivers])
         return joined
 
-    def look(self, around: Surroundings) -> PolicyInput:
+    def look(self, around: Surroundings, *, has_inputs: bool = True) -> PolicyInput:
         """Advances the state by one step and returns the policy's input.
 
         Args:
-            around: surroundings of the karts, with the road at :data:`ALL_LOOKS`.
+            around: surroundings of the karts, with the road at :data:`ALL_LOOKS`; at
+                :data:`.memory.LINE_MARKS` if there are no inputs.
+            has_inputs: whether to compute the inputs, and not only the prior.
         """
-        self._pass_step(around)
-        seen = self.view(around)
+        self.memory.look(around.ego[:, _SPEED], around.ego[:, _SKEED])
+        seen = self.view(around, has_inputs=has_inputs)
         self.memory.look_around(self.options.beyond)
         return seen
 
-    def view(self, around: Surroundings) -> PolicyInput:
-        """Returns the policy's input without advancing the state."""
-        inputs = np.empty((len(around.road), INPUT_SIZE), np.float32)
-        racing_features(around, inputs)
-        self.memory.write(inputs, SIZE)
-        return PolicyInput(inputs, self._weigh(around, inputs))
-
-    def plan(self, around: Surroundings) -> FloatArray:
-        """Advances the state by one step and returns the prior, ``(A, sum(CHOICES))``."""
-        self._pass_step(around)
-        prior = self._weigh(around, np.empty((0, 0), np.float32))
-        self.memory.look_around(self.options.beyond)
-        return prior
-
-    def _pass_step(self, around: Surroundings) -> None:
-        self.memory.look(around.ego[:, _SPEED], around.ego[:, _SKEED])
-
-    def _weigh(self, around: Surroundings, inputs: FloatArray) -> FloatArray:
-        """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""
+    def view(self, around: Surroundings, *, has_inputs: bool = True) -> PolicyInput:
+        """Returns the policy's input without advancing the state; see :meth:`look`."""
+        shape = (len(around.road), INPUT_SIZE) if has_inputs else (0, 0)
+        inputs = np.empty(shape, np.float32)
+        if has_inputs:
+            racing_features(around, inputs)
+            self.memory.write(inputs, SIZE)
         self._options = options = weigh(self._rules, self.memory, around, inputs, _OPTIONS_AT)
         self._hold(options.prior, inputs)
-        return options.prior
+        return PolicyInput(inputs, options.prior)
 
     def _hold(self, prior: FloatArray, inputs: FloatArray) -> None:
         """Makes a held offset the only choice; writes it and its time to the inputs, if any."""
@@ -246,10 +237,6 @@ class PlanDriver:
         rows = np.flatnonzero(left)
         is_held = offset[rows, None] == OFFSETS
         prior[rows, HEADS[_TURN]] = np.where(is_held, np.float32(0), _NOT_HELD)
-
-    def forget(self, rows: IntArray) -> None:
-        """Resets some karts."""
-        self.memory.forget(rows)
 
     @property
     def options(self) -> PlanOptions:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,21 +99,6 @@ class PlanMemory(NamedTuple):
     rescue_steps: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class KartSituation:
-    """Drifts of A karts, ``(A,)`` each.
-
-    Attributes:
-        drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
-        drift_steps: duration of the drift so far [steps].
-        may_hop: whether a drift can begin.
-    """
-
-    drift_side: IntArray
-    drift_steps: IntArray
-    may_hop: BoolArray
-
-
 class DriverMemory:
     """The memory of A karts.
 
@@ -132,9 +116,6 @@ class DriverMemory:
     def __init__(self, count: int, rules: DriverParameters) -> None:
         self._rules = rules
         self._numbers = rule_numbers(rules)
-        self._nitro_steps, self._stuck_steps = (
-            round(time / STEP) for time in (rules.nitro_wait, rules.stuck_time)
-        )
         self.rows = np.zeros((len(PlanMemory._fields), count), np.float32)
         self._of = PlanMemory(*self.rows)
         self._of.since_fire[:] = _LONG_AGO
@@ -181,12 +162,16 @@ class DriverMemory:
         is_off = (beyond >= self._rules.lost_room) & (of.rescue_steps == 0)
         of.lost_steps[:] = np.where(is_off, of.lost_steps + 1, 0)
 
-    def situation(self) -> KartSituation:
-        """Returns the drifts of the karts."""
+    def drifts(self) -> tuple[IntArray, IntArray, BoolArray]:
+        """Returns the drifts of the karts, ``(A,)`` each.
+
+        Returns:
+            Side of the drift: 1 right, -1 left, 0 none; its duration so far [steps]; and whether a
+                drift can begin.
+        """
         of = self._of
-        return KartSituation(
-            of.drift_side.astype(np.intp), of.drift_steps.astype(np.intp), of.hop_steps == 0
-        )
+        sides, steps = of.drift_side.astype(np.intp), of.drift_steps.astype(np.intp)
+        return sides, steps, of.hop_steps == 0
 
     def numbers(self) -> FloatArray:
         """Returns the policy's inputs from the memory, ``(A, MEMORY_SIZE)``."""
@@ -221,7 +206,7 @@ class DriverMemory:
         """Updates stuck karts; returns which reverse and which call the rescue, ``(A,)``."""
         of = self._of
         is_lost = of.lost_steps * STEP > self._rules.lost_time
-        is_stuck = of.still_steps > self._stuck_steps
+        is_stuck = of.still_steps > round(self._rules.stuck_time / STEP)
         is_stuck |= of.crawl_steps * STEP > self._rules.crawl_time
         begins = (of.reverse_steps == 0) & (is_lost | is_stuck)
         calls = begins & (is_lost | (of.reverses >= self._rules.rescue_reverses))
@@ -260,7 +245,7 @@ class DriverMemory:
         of.drift_steps[:] = np.where(side != 0, of.drift_steps + 1, 0)
         of.turn[:] = turn
         of.drift_turn[:] = np.where(side != 0, turn, of.drift_turn)
-        of.nitro_steps[nitro] = self._nitro_steps
+        of.nitro_steps[nitro] = round(self._rules.nitro_wait / STEP)
         of.since_fire[fire] = 0
         return begins
 

@@ -86,7 +86,7 @@ class PlanView:
             rows: indices of the karts.
             is_mirrored: whether they observe and act with left and right swapped.
         """
-        self.driver.forget(rows)
+        self.driver.memory.forget(rows)
         self._is_mirrored[rows], self._waits[rows] = is_mirrored, False
 
     def observe(self, seen: Mapping[str, Any], *, advances: bool = True) -> dict[str, FloatArray]:
@@ -97,7 +97,7 @@ class PlanView:
             advances: whether a step has passed since the last call.
         """
         if self._waits.any():  # nothing before GO matters
-            self.driver.forget(np.flatnonzero(self._waits))
+            self.driver.memory.forget(np.flatnonzero(self._waits))
         self._waits = np.asarray(seen["phase"]) < Phase.GO_PHASE
         policy_input = (self.driver.look if advances else self.driver.view)(around_of(seen))
         if not self._is_mirrored.any():

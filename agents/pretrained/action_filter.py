@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning import FloatArray, IntArray
+from stkzoo.agents.planning import BoolArray, FloatArray, IntArray
 from stkzoo.agents.planning.driver import START_STEER, steer_of_turn
-from stkzoo.agents.planning.memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory, KartSituation
+from stkzoo.agents.planning.memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory
 from stkzoo.agents.planning.motion import DRIFT_TURN
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
@@ -144,16 +144,16 @@ class ActionFilter:
 
     def apply(self, choices: npt.NDArray[Any]) -> IntArray:
         """Returns the filtered choices ``(karts, 5)`` for choices made from the latest input."""
-        done, now = np.array(choices, np.int64), self._memory.situation()
+        done, drifts = np.array(choices, np.int64), self._memory.drifts()
         backs, calls = self._memory.stuck()
         if not self._recovers:
             backs, calls = np.zeros_like(backs), np.zeros_like(calls)
-        side = np.where(backs | calls, 0, self._drift_side(done, now))
+        side = np.where(backs | calls, 0, self._drift_side(done, *drifts))
         turn = STEERS[done[:, _STEER]]
         if self._hold:
             uses = (done[:, _NITRO] == 1) & self._memory.may_boost & (self._views[:, _ENERGY] > 0)
             done[:, _NITRO] = uses
-            begins = (side != 0) & (now.drift_side == 0)
+            begins = (side != 0) & (drifts[0] == 0)
             turn = np.where(side == 0, turn, side * np.clip(turn * side, *DRIFT_TURN))
             steer = steer_of_turn(side, turn, begins)
             done[:, _STEER] = np.where(side == 0, done[:, _STEER], _nearest(steer))
@@ -172,15 +172,17 @@ class ActionFilter:
         self._memory.forget(np.arange(len(self._has_moved))[karts])
         self._has_moved[karts] = False
 
-    def _drift_side(self, chosen: IntArray, now: KartSituation) -> IntArray:
+    def _drift_side(
+        self, chosen: IntArray, before: IntArray, steps: IntArray, may_begin: BoolArray
+    ) -> IntArray:
         """Returns the side to which each kart drifts now: 1 right, -1 left, 0 none."""
         turn, is_asked = STEERS[chosen[:, _STEER]], chosen[:, _DRIFT] == 1
-        begins = is_asked & (np.abs(turn) >= START_STEER) & now.may_hop
+        begins = is_asked & (np.abs(turn) >= START_STEER) & may_begin
         begins &= self._views[:, _SPEED] > _DRIFT_SPEED
-        goes_on = is_asked | (now.drift_steps < self._hold)
-        goes_on &= turn * now.drift_side > -_OTHER_SIDE
-        kept = np.where(goes_on, now.drift_side, 0)
-        return np.where(now.drift_side == 0, np.where(begins, np.sign(turn), 0), kept)
+        goes_on = is_asked | (steps < self._hold)
+        goes_on &= turn * before > -_OTHER_SIDE
+        kept = np.where(goes_on, before, 0)
+        return np.where(before == 0, np.where(begins, np.sign(turn), 0), kept)
 
 
 def steering(side: npt.NDArray[Any], turn: FloatArray, begins: npt.NDArray[np.bool_]) -> IntArray:

@@ -94,7 +94,8 @@ class LabelledRaces:
         driver = self.races.view.driver
         choices = self._plans.best(PolicyInput(**self._observations))
         side, turn = driver.moves(choices)
-        begins = (side != 0) & (driver.memory.situation().drift_side == 0)
+        side_before, _, _ = driver.memory.drifts()
+        begins = (side != 0) & (side_before == 0)
         columns = (
             steering(side, turn, begins),
             np.where(choices[:, 0] == BRAKE_PLAN, BRAKE, 0),

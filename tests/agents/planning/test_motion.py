@@ -19,7 +19,7 @@ def drive_alone(track, reverse=False):
         observation = env.reset(seed=2)[0]["kart_0"]
         driver = heuristic.create_state()
         while env.agents:
-            drift_steps = driver.memory.situation().drift_steps[0]
+            _, (drift_steps,), _ = driver.memory.drifts()
             action = driver.drive(observation)
             yield drift_steps, float(observation["velocity"][2]), action
             observation = env.step({"kart_0": action})[0]["kart_0"]
