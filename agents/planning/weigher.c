@@ -85,7 +85,6 @@ struct Forecast {
     npy_intp stages, plans;
     npy_intp row; /* index of the first plan of the kart's state in arrays (S, C) */
     float *along, *across;                    /* (T, C) */
-    float *lefts, *rights;                    /* (T, C) room at the ends of the stages */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
     float *danger, *worth, *gain;             /* (C,) */
     float *bends, *curves;                    /* (C,) of the road at the plans' marks */
@@ -332,7 +331,37 @@ FORCE_INLINE void move_plans(const Forecast *f)
     }
 }
 
-/* Simulates all stages of all plans: in arcs, or step by step with the network. */
+/* Returns the distance beyond the nearer edge of the road [m], 0 on the road. */
+FORCE_INLINE float beyond_edge(float across, float left, float right)
+{
+    const float beyond_left = -across - left, beyond_right = across - right;
+    const float beyond = beyond_right > beyond_left ? beyond_right : beyond_left;
+    return beyond < 0 ? 0 : beyond;
+}
+
+/* Adds the cost of a stage beyond the edge of the road to each plan [m s]. */
+FORCE_INLINE void add_danger(const Forecast *f, float span)
+{
+    for (npy_intp i = 0; i < f->driven; i++) {
+        const float over = beyond_edge(f->across_now[i], f->lefts_now[i], f->rights_now[i]);
+        f->danger[i] = fmaf(span, over, f->danger[i]);
+    }
+}
+
+/* Converts the danger to meters, and adds the cost of what follows the last stage. */
+FORCE_INLINE void add_late_danger(const Forecast *f, const Situation *kart)
+{
+    const float late_way = kart->speed * (float)f->rules->late_time;
+    for (npy_intp i = 0; i < f->driven; i++) {
+        const float out = f->across_now[i] + f->angle[i] * late_way;
+        const float late = beyond_edge(out, f->lefts_now[i], f->rights_now[i]);
+        f->danger[i] = f->danger[i] * (float)f->rules->over_cost +
+                       (float)f->rules->late_cost * late;
+    }
+}
+
+/* Simulates all stages of all plans, in arcs or step by step with the network, and computes the
+   cost of each plan beyond the edge of the road [m]. */
 FOR_ALL_PROCESSORS
 static void drive(const Forecast *f, const Situation *kart)
 {
@@ -363,39 +392,9 @@ static void drive(const Forecast *f, const Situation *kart)
         }
         memcpy(f->along + stage * f->plans, f->along_now, size);
         memcpy(f->across + stage * f->plans, f->across_now, size);
-        memcpy(f->lefts + stage * f->plans, f->lefts_now, size);
-        memcpy(f->rights + stage * f->plans, f->rights_now, size);
+        add_danger(f, f->table.spans.data[stage]);
     }
-}
-
-/* Returns the distance beyond the nearer edge of the road [m], negative on the road. */
-FORCE_INLINE float beyond_edge(float across, float left, float right)
-{
-    const float beyond_left = -across - left, beyond_right = across - right;
-    return beyond_right > beyond_left ? beyond_right : beyond_left;
-}
-
-/* Computes the cost of each plan beyond the edge of the road [m]. */
-FOR_ALL_PROCESSORS
-static void weigh_danger(const Forecast *f, const Situation *kart)
-{
-    const npy_intp plans = f->plans, last = (f->stages - 1) * plans;
-    const float late_way = kart->speed * (float)f->rules->late_time;
-    for (npy_intp i = 0; i < plans; i++) f->danger[i] = 0;
-    for (npy_intp stage = 0; stage < f->stages; stage++) {
-        const float *across = f->across + stage * plans;
-        const float *lefts = f->lefts + stage * plans, *rights = f->rights + stage * plans;
-        for (npy_intp i = 0; i < plans; i++) {
-            const float over = beyond_edge(across[i], lefts[i], rights[i]);
-            f->danger[i] = fmaf(f->table.spans.data[stage], over < 0 ? 0 : over, f->danger[i]);
-        }
-    }
-    for (npy_intp i = 0; i < plans; i++) {
-        const float out = f->across[last + i] + f->angle[i] * late_way;
-        const float late = beyond_edge(out, f->lefts[last + i], f->rights[last + i]);
-        f->danger[i] = f->danger[i] * (float)f->rules->over_cost +
-                       (float)f->rules->late_cost * (late < 0 ? 0 : late);
-    }
+    add_late_danger(f, kart);
 }
 
 /* Returns the gain of a plan from the boost of its drift [m]. The gain is smaller while an earlier
@@ -517,10 +516,10 @@ void weigh(Forecast *f, const Situation *kart, Best best)
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;
         f->last_turn[i] = kart->drift_turn;
+        f->danger[i] = 0;
         f->places[i] = 0;
     }
     drive(f, kart);
-    weigh_danger(f, kart);
     const float *along = f->along + (f->stages - 1) * plans;
     const float angle_cost = (float)f->rules->angle_cost;
     for (npy_intp i = 0; i < plans; i++) {
@@ -613,7 +612,7 @@ Forecast *new_forecast(const Rules *rules, PyObject *table, PyObject *motion)
         &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
     };
     const size_t num_columns = sizeof columns / sizeof *columns;
-    const size_t floats = 4 * all + (num_columns + 1 + num_units) * plans + (size_t)f->stages;
+    const size_t floats = 2 * all + (num_columns + 1 + num_units) * plans + (size_t)f->stages;
     Forecast *block = PyMem_Calloc(1, sizeof *block + floats * sizeof(float));
     if (!block) {
         PyErr_NoMemory();
@@ -621,8 +620,7 @@ Forecast *new_forecast(const Rules *rules, PyObject *table, PyObject *motion)
     }
     f->stride = (npy_intp)plans;
     f->along = (float *)(block + 1), f->across = f->along + all;
-    f->lefts = f->across + all, f->rights = f->lefts + all;
-    float *next = f->rights + all;
+    float *next = f->across + all;
     for (size_t i = 0; i < num_columns; i++, next += plans) *columns[i] = next;
     float **layers[] = {&m->seen, &m->hidden[0], &m->hidden[1], &m->next};
     for (int n = 0; n <= LAYERS; n++) *layers[n] = next, next += (size_t)units[n] * plans;
