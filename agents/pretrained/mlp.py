@@ -5,6 +5,7 @@ The file format is safetensors with the policy's state dict and its minimum step
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,8 +26,8 @@ _VIEWS = {
     for view, size in (("racing", SIZE), ("contest", CONTEST_SIZE))
     for memory in (0, MEMORY_SIZE)
 }
-_LAYER = "mlp_extractor.policy_net.{}.{}"
-_LAST = "action_net.{}"
+#: Names of the hidden layers and of the last one.
+_HIDDEN, _LAST = "mlp_extractor.policy_net.{}", "action_net"
 #: Boundaries between the logits of the choices.
 SPLITS = np.cumsum(CHOICES)[:-1].tolist()
 #: First logit of each choice, and the choice of each logit.
@@ -59,15 +60,11 @@ class MlpDriver:
         if not 0 <= held <= _MAX_HOLD:
             raise ConfigError(f"{name} have {HOLD} {held}, expected 0 to {_MAX_HOLD} steps")
         self.hold = int(held)
-        layers: list[tuple[FloatArray, FloatArray]] = []
-        number = 0
-        while _LAYER.format(number, "weight") in weights:
-            layers.append(_layer(weights, _LAYER, number))
-            number += 2  # every second module is the tanh
-        if _LAST.format("weight") in weights:
-            layers.append(_layer(weights, "action_net.{1}", 0))
+        names = map(_HIDDEN.format, itertools.count(0, 2))  # every second module is the tanh
+        hidden = itertools.takewhile(lambda name: f"{name}.weight" in weights, names)
+        layers = [_layer(weights, name) for name in (*hidden, _LAST)]
         shapes = [matrix.shape for matrix, _ in layers]
-        self.inputs = shapes[0][-1] if shapes and shapes[0][-1] in _VIEWS else INPUT_SIZE
+        self.inputs = shapes[0][-1] if shapes[0][-1] in _VIEWS else INPUT_SIZE
         self.view = _VIEWS[self.inputs]
         sizes = [self.inputs, *(len(bias) for _, bias in layers)]
         wanted = list(zip(sizes[1:], sizes, strict=False))
@@ -131,14 +128,14 @@ def _likeliest(logits: FloatArray) -> IntArray:
 
 def is_network(weights: Mapping[str, FloatArray]) -> bool:
     """Returns whether arrays are a network without plans, not a policy over plans."""
-    return _LAST.format("weight") in weights
+    return f"{_LAST}.weight" in weights
 
 
-def _layer(
-    weights: Mapping[str, FloatArray], pattern: str, number: int
-) -> tuple[FloatArray, FloatArray]:
-    names = [pattern.format(number, part) for part in ("weight", "bias")]
-    matrix, bias = (np.asarray(weights.get(name, np.zeros((0, 0))), np.float32) for name in names)
+def _layer(weights: Mapping[str, FloatArray], layer: str) -> tuple[FloatArray, FloatArray]:
+    matrix, bias = (
+        np.asarray(weights.get(f"{layer}.{part}", np.zeros((0, 0))), np.float32)
+        for part in ("weight", "bias")
+    )
     if matrix.ndim != 2:
         matrix = np.zeros((0, 0), np.float32)
     return matrix, bias.reshape(-1)
