@@ -65,13 +65,7 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Returns the action with all buttons set to 0."""
-        key, box = next(iter(self._boxes.items()))
-        shape = np.shape(action[key])
-        lead = shape[: max(len(shape) - len(box.shape or ()), 0)]
-        return {
-            **action,
-            **{key: np.zeros(lead, np.int64) if lead else 0 for key in self.discrete_actions},
-        }
+        return {**action, **dict.fromkeys(self.discrete_actions, 0)}
 
     def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Returns the continuous parts of an action."""

@@ -142,20 +142,13 @@ class NumberAction(ABC):
 
 
 class LongitudinalAction(NumberAction):
-    """A number that requests an acceleration.
-
-    Attributes:
-        is_fed_back: whether the measured motion corrects the next request.
-    """
-
-    is_fed_back: bool
+    """A number that requests an acceleration."""
 
 
 class SpeedAction(LongitudinalAction):
     """A target speed [m/s], reached and held by a proportional controller."""
 
     type, _limit = "speed", "v_max"
-    is_fed_back = True
 
     def act(self, action: Any, state: Any, params: Parameters = None) -> FloatArray:
         """See :meth:`NumberAction.act`."""
@@ -173,7 +166,6 @@ class AcclAction(LongitudinalAction):
     """An acceleration [m/s^2], within the limits of speed."""
 
     type, _limit = "accl", "a_max"
-    is_fed_back = False
 
     def act(self, action: Any, state: Any, params: Parameters = None) -> FloatArray:
         """See :meth:`NumberAction.act`."""
@@ -288,11 +280,11 @@ class CarAction:
 
     def new_controller(self) -> CarController:
         """Returns the object that computes :meth:`controls` for several karts of a race."""
-        kart, is_angle = self.params, self.steering.type == "steering_angle"
+        kart, (steering, longitudinal) = self.params, self.type
         ranges = [float(limit[number]) for number in (0, 1) for limit in (self._low, self._high)]
         limits = kart.v_min, kart.v_max, kart.sv_max, kart.speed_gain, kart.T_steer
         return CarController(
-            (self.longitudinal.is_fed_back, is_angle, self.normalize),
+            (longitudinal == "speed", steering == "steering_angle", self.normalize),
             (*ranges, *limits),
             PEDALS,
         )

@@ -164,21 +164,9 @@ def acceleration_of(
         step_size: duration of a step [s].
     """
     stops = (throttle <= 0) & ~brake & (np.abs(speed) < _SELF_STOP_SPEED)
-    driven = throttle * _thrust(speed) - _drag(speed)
-    braked = -_brake(speed) - _drag(speed)
+    gear = np.searchsorted(_GEARS, speed)
+    drag = np.sign(speed) * (_ROLL_DRAG + _AIR_DRAG * speed * speed)
+    driven = throttle * _THRUST[gear] - drag
+    braked = -np.where(speed > _REVERSE_SPEED, _BRAKE[gear], _REVERSE) - drag
     stopped = -np.sign(speed) * np.minimum(np.abs(speed) / step_size, 30.0)
     return np.where(brake, braked, np.where(stops, stopped, driven))
-
-
-def _thrust(speed: FloatArray) -> FloatArray:
-    thrust: FloatArray = _THRUST[np.searchsorted(_GEARS, speed)]
-    return thrust
-
-
-def _brake(speed: FloatArray) -> FloatArray:
-    brake = _BRAKE[np.searchsorted(_GEARS, speed)]
-    return np.where(speed > _REVERSE_SPEED, brake, _REVERSE)
-
-
-def _drag(speed: FloatArray) -> FloatArray:
-    return np.sign(speed) * (_ROLL_DRAG + _AIR_DRAG * speed * speed)

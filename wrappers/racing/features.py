@@ -85,13 +85,9 @@ SIZE = sum(count * width for count, width in PARTS.values())
 CONTEST_SIZE = SIZE + STANDING_SIZE
 
 
-def _places() -> dict[str, slice]:
-    ends = np.cumsum([count * width for count, width in PARTS.values()]).tolist()
-    return {name: slice(a, b) for name, a, b in zip(PARTS, [0, *ends], ends, strict=False)}
-
-
+_ENDS = np.cumsum([count * width for count, width in PARTS.values()]).tolist()
 #: Slice of each part in the view.
-PLACES = _places()
+PLACES = dict(zip(PARTS, map(slice, [0, *_ENDS], _ENDS), strict=True))
 
 
 def _mirror() -> npt.NDArray[np.float32]:
