@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, cast
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -271,13 +271,15 @@ def _spaces_by_agent(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
     return dict(space.spaces)
 
 
+#: Entries by agent in the info of a Gymnasium multi-agent step, in the order of :data:`StepParts`.
+_BY_AGENT = ("reward", "terminated", "truncated", "infos")
+
+
 def _parts_by_agent(
     observations: dict[str, Any], info: Mapping[str, Any], terminated: bool, truncated: bool
 ) -> StepParts:
     """Splits the result of a Gymnasium multi-agent step by agent."""
-    rewards, ends, cuts, infos = (
-        info.get(key, {}) for key in ("reward", "terminated", "truncated", "infos")
-    )
+    rewards, ends, cuts, infos = (info.get(key, {}) for key in _BY_AGENT)
     terminations = {agent: bool(ends.get(agent, terminated)) for agent in observations}
     return (
         observations,
@@ -291,16 +293,11 @@ def _parts_by_agent(
 def _changed_info(info: Mapping[str, Any], parts: StepParts) -> dict[str, Any]:
     """Returns the info of a step with its entries by agent replaced, if it has them."""
     changed = dict(info)
-    _, rewards, terminations, truncations, infos = parts
-    by_key: dict[str, Mapping[str, Any]] = {
-        "reward": rewards,
-        "terminated": terminations,
-        "truncated": truncations,
-        "infos": infos,
-    }
-    for key, part in by_key.items():
+    _, *by_agent = cast(tuple[dict[str, Any], ...], parts)
+    for key, part in zip(_BY_AGENT, by_agent, strict=True):
         if key in info or (key == "truncated" and "terminated" in info):
             changed[key] = {**info.get(key, {}), **part}
     if "done" in info:
+        _, _, terminations, truncations, _ = parts
         changed["done"] = {agent: end or truncations[agent] for agent, end in terminations.items()}
     return changed
