@@ -99,11 +99,12 @@ struct Forecast {
 
 /* Returns the mark at a distance. Clamps before the cast, because casting NaN or a number out of
    range is undefined. */
-FORCE_INLINE npy_int32 mark_at(float along, float per_mark, float last_mark)
+FORCE_INLINE npy_int32 mark_at(float along)
 {
-    float mark = along * per_mark;
+    const float last = (float)(MARKS - 1);
+    float mark = along * (float)(1.0 / MARK_SPACING);
     mark = mark > 0 ? mark : 0;
-    return (npy_int32)(mark < last_mark ? mark : last_mark);
+    return (npy_int32)(mark < last ? mark : last);
 }
 
 /* Simulates one stage of all plans, from the end of the previous stage. */
@@ -115,9 +116,7 @@ FORCE_INLINE void drive_stage(const Forecast *f, const Situation *kart, npy_intp
     const float span = t->spans.data[stage], lock = kart->lock, reach = kart->reach;
     const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
     const float release_rate = (float)RELEASE_TURN / lock;
-    const float lag = (float)STEERING_LAG, own_turn = kart->turn;
-    const float per_mark = (float)(1.0 / MARK_SPACING);
-    const float last_mark = (float)(MARKS - 1), own_speed = kart->speed;
+    const float lag = (float)STEERING_LAG, own_turn = kart->turn, own_speed = kart->speed;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table;
     const float *releases = t->releases.data + in_table;
@@ -160,7 +159,7 @@ FORCE_INLINE void drive_stage(const Forecast *f, const Situation *kart, npy_intp
         along[i] = there;
         across[i] = beside + step * sine;
         angles[i] = angle + turn;
-        places[i] = mark_at(there, per_mark, last_mark);
+        places[i] = mark_at(there);
     }
 }
 
@@ -296,10 +295,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const Situation *kart, npy_int
 FORCE_INLINE void move_plans(const Forecast *f)
 {
     const Motion *m = &f->motion;
-    const float half = (float)(0.5 * STEP);
-    const float per_mark = (float)(1.0 / MARK_SPACING);
-    const float last_mark = (float)(MARKS - 1);
-    const float most_yaw = MOST_YAW, least_speed = LEAST_SPEED;
+    const float half = (float)(0.5 * STEP), most_yaw = MOST_YAW, least_speed = LEAST_SPEED;
     const float *next_yaws = m->next + NEXT_YAW * f->stride;
     const float *more_speeds = m->next + MORE_SPEED * f->stride;
     const float *more_slides = m->next + MORE_SLIDE * f->stride, *curves = f->curves;
@@ -327,7 +323,7 @@ FORCE_INLINE void move_plans(const Forecast *f)
         across[i] = beside + (ahead * sine + aside * cosine);
         angles[i] = angle + (yaw - way * curve);
         speeds[i] = speed, slides[i] = slide, yaws[i] = yaw;
-        places[i] = mark_at(there, per_mark, last_mark);
+        places[i] = mark_at(there);
     }
 }
 
