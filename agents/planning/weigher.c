@@ -71,12 +71,6 @@ typedef struct {
     npy_intp units[LAYERS + 1];
 } Network;
 
-/* States of the plans that the network simulates, (C,) each. */
-typedef struct {
-    float *speed, *slide, *yaw, *side, *steps, *release, *boost, *big_boost, *turn;
-    float *seen, *hidden[2], *next; /* (units, C) */
-} Motion;
-
 /* The simulated plans of one kart: (T, C) for stages by plans, (C,) for plans. */
 struct Forecast {
     const Rules *rules;
@@ -94,7 +88,9 @@ struct Forecast {
     npy_intp driven; /* number of simulated plans, counted from the first */
     npy_intp stride; /* number of plans, rounded up to whole blocks */
     float *along_now, *across_now; /* (C,) */
-    Motion motion;
+    /* (C,) states of the plans, if the network simulates them */
+    float *speed, *slide, *yaw, *side, *steps, *release, *boost, *big_boost, *turn;
+    float *seen, *hidden[2], *next; /* (units, C) */
 };
 
 /* Returns the mark at a distance. Clamps before the cast, because casting NaN or a number out of
@@ -201,9 +197,8 @@ FORCE_INLINE void sum_units(const float *matrix, const float *bias, npy_intp inp
 FORCE_INLINE void infer(const Forecast *f)
 {
     const Network *network = &f->network;
-    const Motion *m = &f->motion;
-    const float *ins[LAYERS] = {m->seen, m->hidden[0], m->hidden[1]};
-    float *outs[LAYERS] = {m->hidden[0], m->hidden[1], m->next};
+    const float *ins[LAYERS] = {f->seen, f->hidden[0], f->hidden[1]};
+    float *outs[LAYERS] = {f->hidden[0], f->hidden[1], f->next};
     for (npy_intp block = 0; block < f->driven; block += BLOCK) {
         for (int n = 0; n < LAYERS; n++) {
             const npy_intp inputs = network->units[n], outputs = network->units[n + 1];
@@ -227,7 +222,6 @@ FORCE_INLINE void look_at_step(const Forecast *f, const Situation *kart, npy_int
                                npy_intp step)
 {
     const Table *t = &f->table;
-    const Motion *m = &f->motion;
     const npy_intp in_table = f->row * f->stages + stage * f->plans, stride = f->stride;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table, *lanes = t->lanes.data + in_table;
@@ -237,12 +231,12 @@ FORCE_INLINE void look_at_step(const Forecast *f, const Situation *kart, npy_int
     const float small_lasts = SMALL_LASTS, big_lasts = BIG_LASTS, most_release = RELEASE_STEPS;
     const float aged = step ? 1.0f : 0, braking = step < BRAKE_STEPS ? 1.0f : 0;
     const float *across = f->across_now, *angles = f->angle, *extra = f->extra;
-    const float *bends = f->bends, *speeds = m->speed;
+    const float *bends = f->bends, *speeds = f->speed;
     const float *lefts = f->lefts_now, *rights = f->rights_now;
-    float *last_turns = f->last_turn, *sides = m->side, *all_steps = m->steps;
-    float *releases = m->release, *boosts = m->boost, *big_boosts = m->big_boost;
-    float *turns_before = m->turn, *seen = m->seen, *turns = f->turns;
-    const float *slides = m->slide, *yaws = m->yaw;
+    float *last_turns = f->last_turn, *sides = f->side, *all_steps = f->steps;
+    float *releases = f->release, *boosts = f->boost, *big_boosts = f->big_boost;
+    float *turns_before = f->turn, *seen = f->seen, *turns = f->turns;
+    const float *slides = f->slide, *yaws = f->yaw;
     const npy_intp driven = f->driven;
     NO_OVERLAP
     for (npy_intp i = 0; i < driven; i++) {
@@ -294,12 +288,11 @@ FORCE_INLINE void look_at_step(const Forecast *f, const Situation *kart, npy_int
 /* Advances all plans by one step with the network's outputs. NaN in them passes. */
 FORCE_INLINE void move_plans(const Forecast *f)
 {
-    const Motion *m = &f->motion;
     const float half = (float)(0.5 * STEP), most_yaw = MOST_YAW, least_speed = LEAST_SPEED;
-    const float *next_yaws = m->next + NEXT_YAW * f->stride;
-    const float *more_speeds = m->next + MORE_SPEED * f->stride;
-    const float *more_slides = m->next + MORE_SLIDE * f->stride, *curves = f->curves;
-    float *speeds = m->speed, *slides = m->slide, *yaws = m->yaw, *angles = f->angle;
+    const float *next_yaws = f->next + NEXT_YAW * f->stride;
+    const float *more_speeds = f->next + MORE_SPEED * f->stride;
+    const float *more_slides = f->next + MORE_SLIDE * f->stride, *curves = f->curves;
+    float *speeds = f->speed, *slides = f->slide, *yaws = f->yaw, *angles = f->angle;
     float *along = f->along_now, *across = f->across_now;
     npy_int32 *places = f->places;
     const npy_intp driven = f->driven;
@@ -361,15 +354,15 @@ FORCE_INLINE void add_late_danger(const Forecast *f, const Situation *kart)
 FOR_ALL_PROCESSORS
 static void drive(const Forecast *f, const Situation *kart)
 {
-    const Motion *m = &f->motion;
     const int has_network = f->network.units[0] > 0;
     const size_t size = (size_t)f->driven * sizeof(float);
     for (npy_intp i = 0; i < f->driven; i++) {
-        f->along_now[i] = 0, f->across_now[i] = kart->offset;
-        m->speed[i] = kart->speed, m->slide[i] = kart->slide, m->yaw[i] = kart->yaw;
-        m->side[i] = kart->drift_side, m->steps[i] = kart->drift_steps;
-        m->release[i] = kart->release_steps, m->turn[i] = kart->turn;
-        m->boost[i] = kart->boost_steps, m->big_boost[i] = kart->big_boost_steps;
+        f->along_now[i] = 0, f->across_now[i] = kart->offset, f->angle[i] = kart->angle;
+        f->last_turn[i] = kart->drift_turn, f->danger[i] = 0, f->places[i] = 0;
+        f->speed[i] = kart->speed, f->slide[i] = kart->slide, f->yaw[i] = kart->yaw;
+        f->side[i] = kart->drift_side, f->steps[i] = kart->drift_steps;
+        f->release[i] = kart->release_steps, f->turn[i] = kart->turn;
+        f->boost[i] = kart->boost_steps, f->big_boost[i] = kart->big_boost_steps;
     }
     look_up(f, kart);
     npy_intp step = 0;
@@ -509,12 +502,6 @@ void weigh(Forecast *f, const Situation *kart, Best best)
     f->row = kart->state * plans;
     f->driven = f->network.units[0] > 0 ? plans_of(f, kart) : plans;
     set_item_lanes(f, kart->items);
-    for (npy_intp i = 0; i < plans; i++) {
-        f->angle[i] = kart->angle;
-        f->last_turn[i] = kart->drift_turn;
-        f->danger[i] = 0;
-        f->places[i] = 0;
-    }
     drive(f, kart);
     const float *along = f->along + (f->stages - 1) * plans;
     const float angle_cost = (float)f->rules->angle_cost;
@@ -600,12 +587,11 @@ Forecast *new_forecast(const Rules *rules, PyObject *table, PyObject *motion)
     const size_t plans = (size_t)((f->plans + BLOCK - 1) / BLOCK * BLOCK);
     const size_t all = (size_t)f->plans * (size_t)f->stages;
     const size_t num_units = (size_t)(units[0] + units[1] + units[2] + units[3]);
-    Motion *m = &f->motion;
     float **columns[] = {
-        &f->angle,     &f->last_turn,  &f->turns,   &f->extra,   &f->danger,    &f->worth,
-        &f->gain,      &f->bends,      &f->curves,  &f->lefts_now, &f->rights_now,
-        &f->along_now, &f->across_now, &m->speed,   &m->slide,   &m->yaw,       &m->side,
-        &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
+        &f->angle, &f->last_turn, &f->turns, &f->extra, &f->danger, &f->worth, &f->gain,
+        &f->bends, &f->curves, &f->lefts_now, &f->rights_now, &f->along_now, &f->across_now,
+        &f->speed, &f->slide, &f->yaw, &f->side, &f->steps, &f->release, &f->boost,
+        &f->big_boost, &f->turn,
     };
     const size_t num_columns = sizeof columns / sizeof *columns;
     const size_t floats = 2 * all + (num_columns + 1 + num_units) * plans + (size_t)f->stages;
@@ -618,7 +604,7 @@ Forecast *new_forecast(const Rules *rules, PyObject *table, PyObject *motion)
     f->along = (float *)(block + 1), f->across = f->along + all;
     float *next = f->across + all;
     for (size_t i = 0; i < num_columns; i++, next += plans) *columns[i] = next;
-    float **layers[] = {&m->seen, &m->hidden[0], &m->hidden[1], &m->next};
+    float **layers[] = {&f->seen, &f->hidden[0], &f->hidden[1], &f->next};
     for (int n = 0; n <= LAYERS; n++) *layers[n] = next, next += (size_t)units[n] * plans;
     f->places = (npy_int32 *)next, f->ends = next + plans;
     const float *spans = f->table.spans.data;
