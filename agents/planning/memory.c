@@ -8,12 +8,6 @@
 #define DRIFT_SHOWS 4.0f /* a skid factor of 1 after this many steps ends the drift [steps] */
 enum { NUMBERS = 12 };
 
-/* Returns the address of a kart's number in a row of the memory. */
-static float *at(Floats memory, npy_intp count, int row, npy_intp kart)
-{
-    return memory.data + row * count + kart;
-}
-
 /* Converts a time [s] to the nearest number of steps. */
 static float steps_of(double time)
 {
@@ -38,31 +32,27 @@ PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
     const npy_intp sizes[][2] = {{memory.size, MEMORY_SIZE * count}, {skeeds.size, count}};
     if (ARE_SIZES(sizes) < 0) return NULL;
     for (npy_intp i = 0; i < count; i++) {
+        float *of = memory.data + i; /* the kart's numbers, `count` apart */
         for (int row = HOLD_STEPS; row <= RESCUE_STEPS; row++) {
-            float *clock = at(memory, count, row, i);
+            float *clock = of + row * count;
             *clock = *clock - 1 > 0 ? *clock - 1 : 0;
         }
-        const float speed = speeds.data[i], pace = fabsf(speed);
-        const float gain = speed - *at(memory, count, SPEED, i);
-        *at(memory, count, GAIN, i) = gain, *at(memory, count, SPEED, i) = speed;
+        const float speed = speeds.data[i], pace = fabsf(speed), gain = speed - of[SPEED * count];
+        of[GAIN * count] = gain, of[SPEED * count] = speed;
         if (gain < -(float)rules->crash_drop) {
-            *at(memory, count, CAUTION_STEPS, i) = steps_of(rules->caution_time);
+            of[CAUTION_STEPS * count] = steps_of(rules->caution_time);
         }
-        const int is_free = *at(memory, count, RESCUE_STEPS, i) == 0;
+        const int is_free = of[RESCUE_STEPS * count] == 0;
         const int is_still = pace < (float)rules->stuck_speed && is_free;
         const int crawls = pace < (float)rules->crawl_speed && is_free;
-        float *still = at(memory, count, STILL_STEPS, i), *free = at(memory, count, FREE_STEPS, i);
-        float *crawl = at(memory, count, CRAWL_STEPS, i), *fire = at(memory, count, SINCE_FIRE, i);
-        *still = is_still ? *still + 1 : 0;
-        *crawl = crawls ? *crawl + 1 : 0;
-        *free = is_still ? 0 : *free + 1;
-        if (*free * (float)STEP > (float)rules->free_time) {
-            *at(memory, count, REVERSES, i) = 0;
-        }
-        *fire = *fire + 1 < LONG_AGO ? *fire + 1 : LONG_AGO;
-        float *drift = at(memory, count, DRIFT_COUNT, i);
-        if (*drift >= DRIFT_SHOWS && skeeds.data[i] <= 1.0f) {
-            *at(memory, count, DRIFT_SIDE, i) = *drift = 0;
+        of[STILL_STEPS * count] = is_still ? of[STILL_STEPS * count] + 1 : 0;
+        of[CRAWL_STEPS * count] = crawls ? of[CRAWL_STEPS * count] + 1 : 0;
+        const float free = of[FREE_STEPS * count] = is_still ? 0 : of[FREE_STEPS * count] + 1;
+        if (free * (float)STEP > (float)rules->free_time) of[REVERSES * count] = 0;
+        const float since_fire = of[SINCE_FIRE * count] + 1;
+        of[SINCE_FIRE * count] = since_fire < LONG_AGO ? since_fire : LONG_AGO;
+        if (of[DRIFT_COUNT * count] >= DRIFT_SHOWS && skeeds.data[i] <= 1.0f) {
+            of[DRIFT_SIDE * count] = of[DRIFT_COUNT * count] = 0;
         }
     }
     Py_RETURN_NONE;
@@ -87,23 +77,24 @@ PyObject *write_memory(PyObject *Py_UNUSED(module), PyObject *args)
     const float nitro_time = fmaxf(steps_of(rules->nitro_wait), 1);
     const float caution_time = fmaxf(steps_of(rules->caution_time), 1);
     for (npy_intp i = 0; i < count; i++) {
+        const float *of = memory.data + i;
         float *number = out.data + width * i + first;
-        const float side = *at(memory, count, DRIFT_SIDE, i);
-        const float drifted = *at(memory, count, DRIFT_COUNT, i) / 30.0f;
+        const float side = of[DRIFT_SIDE * count];
+        const float drifted = of[DRIFT_COUNT * count] / 30.0f;
         const float drift = drifted < 2.0f ? drifted : 2.0f;
-        const float gain = *at(memory, count, GAIN, i) / 5.0f;
-        *number++ = *at(memory, count, TURN, i);
-        *number++ = *at(memory, count, DRIFT_TURN, i) * (float)(side != 0);
+        const float gain = of[GAIN * count] / 5.0f;
+        *number++ = of[TURN * count];
+        *number++ = of[DRIFT_TURN * count] * (float)(side != 0);
         *number++ = drift * side;
         *number++ = drift;
-        *number++ = *at(memory, count, RELEASE_LEFT, i) / RELEASE_STEPS;
-        *number++ = *at(memory, count, BOOST_STEPS, i) / SMALL_LASTS;
-        *number++ = *at(memory, count, BIG_BOOST_STEPS, i) / BIG_LASTS;
-        *number++ = *at(memory, count, NITRO_STEPS, i) / nitro_time;
-        *number++ = *at(memory, count, CAUTION_STEPS, i) / caution_time;
-        *number++ = *at(memory, count, STILL_STEPS, i) / steps_of(rules->stuck_time);
+        *number++ = of[RELEASE_LEFT * count] / RELEASE_STEPS;
+        *number++ = of[BOOST_STEPS * count] / SMALL_LASTS;
+        *number++ = of[BIG_BOOST_STEPS * count] / BIG_LASTS;
+        *number++ = of[NITRO_STEPS * count] / nitro_time;
+        *number++ = of[CAUTION_STEPS * count] / caution_time;
+        *number++ = of[STILL_STEPS * count] / steps_of(rules->stuck_time);
         *number++ = gain < -2.0f ? -2.0f : gain > 2.0f ? 2.0f : gain;
-        *number++ = *at(memory, count, SINCE_FIRE, i) / LONG_AGO;
+        *number++ = of[SINCE_FIRE * count] / LONG_AGO;
     }
     Py_RETURN_NONE;
 }
