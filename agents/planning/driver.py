@@ -142,13 +142,18 @@ class PlanDriver:
     Args:
         count: number of karts, A.
         rules: parameters of the plans.
+
+    Attributes:
+        memory: what the karts' drivers remember.
+        options: the best plans for the latest observation.
     """
+
+    options: PlanOptions
 
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
         self._rules = rules or DriverParameters()
         self._holds_turns = self._rules.turn_hold > 1
         self.memory = DriverMemory(count, self._rules)
-        self._options: PlanOptions | None = None
 
     def drive(
         self,
@@ -222,9 +227,9 @@ class PlanDriver:
         if has_inputs:
             racing_features(around, inputs)
             self.memory.write(inputs, SIZE)
-        self._options = options = weigh(self._rules, self.memory, around, inputs, _OPTIONS_AT)
-        self._hold(options.prior, inputs)
-        return PolicyInput(inputs, options.prior)
+        self.options = weigh(self._rules, self.memory, around, inputs, _OPTIONS_AT)
+        self._hold(self.options.prior, inputs)
+        return PolicyInput(inputs, self.options.prior)
 
     def _hold(self, prior: FloatArray, inputs: FloatArray) -> None:
         """Makes a held offset the only choice; writes it and its time to the inputs, if any."""
@@ -237,12 +242,6 @@ class PlanDriver:
         rows = np.flatnonzero(left)
         is_held = offset[rows, None] == OFFSETS
         prior[rows, HEADS[_TURN]] = np.where(is_held, np.float32(0), _NOT_HELD)
-
-    @property
-    def options(self) -> PlanOptions:
-        """The best plans for the latest observation."""
-        assert self._options is not None  # noqa: S101 - since view
-        return self._options
 
     def moves(self, choices: IntArray) -> tuple[IntArray, FloatArray]:
         """Converts choices ``(A, 4)`` to drift sides and turns [fraction of full lock]."""
