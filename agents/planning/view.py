@@ -10,7 +10,6 @@ follow from the worth of the plans. An action is a choice among the plans; see :
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -100,13 +99,12 @@ class PlanView:
             self.driver.memory.forget(np.flatnonzero(self._waits))
         self._waits = np.asarray(seen["phase"]) < Phase.GO_PHASE
         policy_input = (self.driver.look if advances else self.driver.view)(around_of(seen))
-        if not self._is_mirrored.any():
-            return {"inputs": policy_input.inputs, "prior": policy_input.prior}
-        rows = self._is_mirrored[:, None]
-        return {
-            "inputs": np.where(rows, mirrored_inputs(policy_input.inputs), policy_input.inputs),
-            "prior": np.where(rows, mirrored_prior(policy_input.prior), policy_input.prior),
-        }
+        inputs, prior = policy_input.inputs, policy_input.prior
+        if self._is_mirrored.any():
+            rows = self._is_mirrored[:, None]
+            inputs = np.where(rows, mirrored_inputs(inputs), inputs)
+            prior = np.where(rows, mirrored_prior(prior), prior)
+        return {"inputs": inputs, "prior": prior}
 
     def drive(self, choices: npt.NDArray[Any]) -> tuple[FloatArray, BoolArray]:
         """Returns the controls for choices ``(A, 4)`` in the latest observations.
@@ -167,20 +165,20 @@ class _SurroundingsObserver:
     def observe_into(self, source: Any, karts: IntArray, rows: IntArray, batch: Any) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         snapshot, observer = source.snapshot, road_observer(source.track_map)
-        is_block = rows[-1] - rows[0] == len(rows) - 1 and not self._sees_line
+        is_block = rows[-1] - rows[0] == len(rows) - 1
         if is_block and len(snapshot.karts) <= _KARTS and len(snapshot.items) <= _ITEMS:
             block = slice(int(rows[0]), int(rows[-1]) + 1)
             arrays = tuple(batch[key][block] for key in _AROUND)
             observer.surroundings(snapshot, karts, ALL_LOOKS, arrays)
             batch["phase"][block] = snapshot.phase
-            return
-        around = observer.surroundings(snapshot, karts, ALL_LOOKS)
+        else:
+            around = observer.surroundings(snapshot, karts, ALL_LOOKS)
+            for key, array in _row(around, np.full(len(karts), snapshot.phase)).items():
+                batch[key][rows] = array
         if self._sees_line:
             ahead = source.ground_ahead(karts)
-            line = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
-            around = replace(around, line=line)
-        for key, array in _row(around, np.full(len(karts), snapshot.phase)).items():
-            batch[key][rows] = array
+            line = ahead["ground_line"], ahead["ground_room"]
+            batch["line"][rows] = np.concatenate(line, axis=-1)
 
 
 def _row(around: Surroundings, phase: Any) -> dict[str, Any]:
