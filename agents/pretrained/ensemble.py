@@ -79,7 +79,10 @@ class EnsemblePolicy:
         logits = self._plan_logits(view)
         if not self.networks:
             return likeliest(logits)
-        steer, pedal, drift, nitro, fire = self._log_probabilities(view.inputs)
+        opinions = log_probabilities(
+            np.array([network.logits(view.inputs) for network in self.networks])
+        )
+        steer, pedal, drift, nitro, fire = np.split(opinions.mean(axis=0), SPLITS, axis=-1)
         begin, turn, *buttons = (logits[:, head] for head in HEADS)
         rows = np.arange(len(begin))[:, None, None]
         liked = (
@@ -101,11 +104,6 @@ class EnsemblePolicy:
         learned = [policy.learned_logits(view) for policy in self.policies]
         logits: FloatArray = view.prior + np.mean(learned, axis=0)
         return logits
-
-    def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
-        """Returns the networks' mean log-probabilities, one array per choice."""
-        logits = np.array([network.logits(seen) for network in self.networks])
-        return np.split(log_probabilities(logits).mean(axis=0), SPLITS, axis=-1)
 
 
 def _steering(inputs: FloatArray) -> IntArray:

@@ -100,7 +100,9 @@ class MlpDriver:
             observations: as for :meth:`logits`.
             noise: added to the logits; Gumbel noise ``(A, 31)`` samples from the probabilities.
         """
-        return _likeliest(self.logits(observations) + np.float32(noise))
+        logits = self.logits(observations) + np.float32(noise)
+        parts = np.split(logits, SPLITS, axis=1)
+        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Samples choices from their probabilities, ``(A, 5)``."""
@@ -119,11 +121,6 @@ def log_probabilities(logits: FloatArray) -> FloatArray:
     normalizer = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
     log_probabilities: FloatArray = logits - normalizer[..., _CHOICE_OF]
     return log_probabilities
-
-
-def _likeliest(logits: FloatArray) -> IntArray:
-    parts = np.split(logits, SPLITS, axis=1)
-    return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
 
 def is_network(weights: Mapping[str, FloatArray]) -> bool:
