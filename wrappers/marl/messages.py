@@ -66,20 +66,14 @@ class MessageChannel(ClonableWrapper):
         self._said: dict[str, Message] = {}
         self._observation_spaces: dict[str, spaces.Space[Any]] = {}
         self._action_spaces: dict[str, spaces.Space[Any]] = {}
+        others = len(env.possible_agents) - 1
+        messages = spaces.Box(-1, 1, (others, self.size))
+        heard = spaces.Box(0, 1, (others,), np.int8)
         for agent in env.possible_agents:
-            seen, action = map(
-                copy.deepcopy, (env.observation_space(agent), env.action_space(agent))
-            )
-            others = len(env.possible_agents) - 1
-            self._observation_spaces[agent] = spaces.Dict(
-                {
-                    "observation": seen,
-                    "messages": spaces.Box(-1, 1, (others, self.size)),
-                    "heard": spaces.Box(0, 1, (others,), np.int8),
-                }
-            )
-            said = copy.deepcopy(self._message_space)
-            self._action_spaces[agent] = spaces.Dict({"action": action, "message": said})
+            seen = {"observation": env.observation_space(agent), "messages": messages}
+            done = {"action": env.action_space(agent), "message": self._message_space}
+            self._observation_spaces[agent] = copy.deepcopy(spaces.Dict(seen | {"heard": heard}))
+            self._action_spaces[agent] = copy.deepcopy(spaces.Dict(done))
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, the same object on every call."""

@@ -46,11 +46,7 @@ class ClonableWrapper(BaseParallelWrapper[str, Any, Any]):
 
         See :meth:`~stkzoo.env.parallel.RaceParallelEnv.clone`.
         """
-        race = self.env.clone()
-        twin = copy.copy(self)
-        copied = {name: value for name, value in vars(self).items() if name != "env"}
-        twin.__dict__.update(copy.deepcopy(copied), env=race)
-        return twin
+        return copy.deepcopy(self, {id(self.env): self.env.clone()})
 
     def lookahead(self) -> contextlib.closing[Self]:
         """Yields a clone for trying actions and closes it at the end."""
@@ -106,10 +102,6 @@ class Teams(ClonableWrapper):
         self.teams = _checked_teams(teams, env.possible_agents)
         self.team_of = {agent: n for n, team in enumerate(self.teams) for agent in team}
         self.share, self.observe = check_number("share", share, 0, 1), bool(observe)
-        self._others = {
-            agent: [mate for mate in self.teams[self.team_of[agent]] if mate != agent]
-            for agent in env.possible_agents
-        }
         self._rows = max(map(len, self.teams)) - 1
         self._spaces = {agent: self._space(agent) for agent in env.possible_agents}
 
@@ -117,14 +109,9 @@ class Teams(ClonableWrapper):
         space: spaces.Space[Any] = self.env.observation_space(agent)
         if not self.observe:
             return space
+        team = spaces.Discrete(len(self.teams))
         mates = spaces.Box(-np.inf, np.inf, (self._rows, _SIZE), np.float32)
-        return spaces.Dict(
-            {
-                "observation": copy.deepcopy(space),
-                "team": spaces.Discrete(len(self.teams)),
-                "mates": mates,
-            }
-        )
+        return spaces.Dict({"observation": copy.deepcopy(space), "team": team, "mates": mates})
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, the same object on every call."""
@@ -190,8 +177,9 @@ class Teams(ClonableWrapper):
 
     def _mates(self, agent: str, known: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         rows = np.zeros((self._rows, _SIZE), np.float32)
-        row, *mates = map(self.possible_agents.index, (agent, *self._others[agent]))
-        rows[: len(mates)] = known[row, mates]
+        row_of, team = self.possible_agents.index, self.teams[self.team_of[agent]]
+        mates = [row_of(mate) for mate in team if mate != agent]
+        rows[: len(mates)] = known[row_of(agent), mates]
         return rows
 
 
