@@ -212,13 +212,14 @@ def surroundings_of(
     starts, ends, widths = map(_stacked, paths, (3, 3, 1))
     _, road = traced(starts, ends, widths, np.array([len(rows) for rows in paths[0]]), looks)
     ego = [np.reshape(batch[key], (len(road), -1)) for key in OWN_PLACES]
+    line = [np.asarray(batch[key], np.float32) for key in _LINE if key in batch]
     return Surroundings(
         ego=np.concatenate(ego, axis=1, dtype=np.float32),
         road=road,
         karts=_stacked(batch["karts_position"], blank=np.inf),
         items=_stacked(batch["items_position"]),
         item_types=_stacked_types(batch["items_type"]),
-        line=_line_of(batch),
+        line=np.concatenate(line, axis=-1) if line else None,
     )
 
 
@@ -240,13 +241,6 @@ def _stacked(rows: Sequence[Any], size: int = 3, blank: float = 0.0) -> FloatArr
     stacked = np.full((len(rows), most, size), blank, np.float32)
     stacked[np.arange(most) < np.array(counts)[:, None]] = block
     return stacked
-
-
-def _line_of(batch: Mapping[str, Any]) -> FloatArray | None:
-    """Returns the racing lines ahead of the karts, if they are observed."""
-    if _LINE[0] not in batch:
-        return None
-    return np.concatenate([np.asarray(batch[key], np.float32) for key in _LINE], axis=-1)
 
 
 def _stacked_types(rows: Sequence[Any]) -> IntArray:
