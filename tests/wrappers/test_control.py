@@ -9,7 +9,7 @@ import pytest
 from gymnasium import spaces
 
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
-from stkzoo.agents.pursuit.driver import PursuitDriver, PursuitState
+from stkzoo.agents.pursuit import PursuitDriver, PursuitState
 from stkzoo.views import VIEWS, find_view
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import (
