@@ -197,11 +197,9 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         self._sizes = tuple(sizes.tolist())
         self._count = int(sizes.sum())
         self._places = np.concatenate([[0], np.cumsum(sizes)[:-1]]) - choices.start
-        bounds = (
-            np.concatenate([numbers.low, np.zeros(self._count, np.float32)]),
-            np.concatenate([numbers.high, np.ones(self._count, np.float32)]),
-        )
-        joined = spaces.Box(*bounds, dtype=np.float32)
+        ones = np.ones(self._count, np.float32)
+        low, high = np.append(numbers.low, 0 * ones), np.append(numbers.high, ones)
+        joined = spaces.Box(low, high, dtype=np.float32)
         rest = {key: part for key, part in parts.items() if key not in ("continuous", "discrete")}
         self.observation_space = (
             spaces.Dict({"observation": joined, **copy.deepcopy(rest)}) if rest else joined

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -61,10 +61,9 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
                 "ActionMasks wraps flattened_multidiscrete or flattened_discrete. Found "
                 f"observations {shortened(space)} and actions {env.action_space!r:.200}"
             )
-        inner: Any = flattener.env.observation_space
-        keys = flattener.observation_flattener
-        self._energy = _place(inner, keys.continuous_keys, "energy")
-        self._powerup = _place(inner, keys.discrete_keys, "powerup_type")
+        parts = flattener.observation_flattener.parts
+        self._energy = _place(parts["continuous"], "energy")
+        self._powerup = _place(parts["discrete"], "powerup_type")
         self._uses = _uses(env, flattener)
         mask = spaces.Box(0, 1, self._uses.shape[1:], np.int8)
         self.observation_space = spaces.Dict({**copy.deepcopy(space.spaces), "action_mask": mask})
@@ -93,14 +92,14 @@ def _inwards(env: Any) -> Iterator[Any]:
         env = env.env
 
 
-def _place(space: spaces.Dict, keys: list[str], key: str) -> int:
-    """Returns the index of a key's single value in a flattened vector."""
+def _place(parts: Mapping[str, spaces.Space[Any]], key: str) -> int:
+    """Returns the index of a key's single value in the flattened vector of some parts."""
+    keys = list(parts)
     if key not in keys:
         raise ConfigError(
             f"ActionMasks needs {key!r} among the observations, but found {', '.join(keys)}."
         )
-    before = keys[: keys.index(key)]
-    return int(sum(int(np.prod(space[other].shape or ())) for other in before))
+    return sum(math.prod(parts[before].shape or ()) for before in keys[: keys.index(key)])
 
 
 def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> npt.NDArray[np.bool_]:
