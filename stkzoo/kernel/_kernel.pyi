@@ -412,9 +412,7 @@ def look_around(
     """Writes the surroundings of some karts on a road.
 
     Args:
-        road: ``lines``, ``starts`` and ``along`` of a
-            :class:`~stkzoo.wrappers.racing.surroundings.RoadTable`, and the distance between the
-            points of a line [m].
+        road: ``road`` of a :class:`~stkzoo.wrappers.racing.surroundings.RoadObserver`.
         data: bytes of a snapshot.
         who: ``(n,)`` indices of karts.
         looks: ``(L,)`` distances at which the road is observed [m].
