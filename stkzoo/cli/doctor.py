@@ -119,10 +119,10 @@ def _diagnose() -> Iterator[dict[str, Any]]:
     # The variable overrides installed data, so users must unset it first.
     prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
     install = f"{prefix}stkzoo assets install"
-    (_, own), *extras = requirements().items()
+    (_, required), *extras = requirements().items()
     checks: list[tuple[str, Callable[[], str], str]] = [
         ("Python", _python, "install Python 3.10 or newer"),
-        ("libraries", partial(_libraries, own), install_command("")),
+        ("libraries", partial(_libraries, required), install_command("")),
         ("engine", _engine, pip_install("PySuperTuxKart2")),
         ("race data", _race_data, install),
         ("engine starts", _start, f"{install} --force"),

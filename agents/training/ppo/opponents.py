@@ -76,7 +76,7 @@ class Matchmaker:
     """Determines how often the learner meets each past self, from the results of their duels.
 
     Args:
-        kind: ``"none"``, ``"fictitious"`` or ``"prioritized"``.
+        opponents: ``"none"``, ``"fictitious"`` or ``"prioritized"``.
         size: number of past selves to keep; when full, a new one replaces the most beaten one.
         share: share of the races in which a past self drives some of the karts.
 
@@ -85,14 +85,14 @@ class Matchmaker:
         reported: fractions of duels won.
     """
 
-    def __init__(self, kind: str = NOBODY, size: int = 40, share: float = 0.5) -> None:
-        self._kind, self._size, self._share = kind, size, share
+    def __init__(self, opponents: str = NOBODY, size: int = 40, share: float = 0.5) -> None:
+        self._opponents, self._size, self._share = opponents, size, share
         self.pool: dict[str, Rival] = {}
         self.reported: list[float] = []
 
     def add(self, name: str) -> None:
         """Adds a past self."""
-        if self._kind == NOBODY:
+        if self._opponents == NOBODY:
             return
         if name not in self.pool and len(self.pool) >= self._size:
             del self.pool[max(self.pool.values(), key=lambda rival: rival.beaten).name]
@@ -101,7 +101,7 @@ class Matchmaker:
     def odds(self) -> Odds:
         """Returns the probability of each opponent in a new race."""
         chances = self.prioritized(list(self.pool))
-        if self._kind == FICTITIOUS:
+        if self._opponents == FICTITIOUS:
             chances = dict.fromkeys(chances, 1 / max(len(chances), 1))
         met = {name: self._share * chance for name, chance in chances.items()}
         return {ITSELF: 1.0 - self._share, **met} if met else {}

@@ -225,20 +225,20 @@ def load_runs(
             entry, or runs of a task have different races or budgets.
         EntryRefused: an entry is incomplete, or a replay or a number is not that of the entry.
     """
-    found: dict[bool, dict[Any, Evaluation]] = {False: {}, True: {}}
+    by_split: dict[bool, dict[Any, Evaluation]] = {False: {}, True: {}}
     owners: dict[tuple[str, ...], Path] = {}
     for folder in _entry_folders(paths):
         evaluation = load(folder)
         if (owner := owners.setdefault(evaluation.entry.replays, folder)) != folder:
             raise ConfigError(f"{owner} and {folder} have the same replays; leave one out")
-        of_split = found[evaluation.entry.plan.is_on_training_tracks]
+        of_split = by_split[evaluation.entry.plan.is_on_training_tracks]
         other = of_split.setdefault(evaluation.key, evaluation)
         if other is not evaluation:
             raise ConfigError(
                 f"{other.folder} and {folder} are of the same run, {_text(evaluation.key)}; leave "
                 "one out, or evaluate it with another --training-seed or --variant"
             )
-    tests, trains = found[False], found[True]
+    tests, trains = by_split[False], by_split[True]
     for key in trains.keys() - tests.keys():
         raise ConfigError(
             f"{trains[key].folder} has the training tracks of {_text(key)}, and its entry is "
