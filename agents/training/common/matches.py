@@ -16,6 +16,7 @@ from stkzoo import Phase, race_v0
 from stkzoo._schema import Count, Place
 from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import PolicyInput
+from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanView, around_of, surroundings_view
 from stkzoo.agents.pretrained.action_filter import ActionFilter
@@ -40,7 +41,6 @@ SEATS = 4
 UNFINISHED = 3.0
 #: Time limit of a race, as a multiple of the AI's median time.
 _PATIENCE = 1.6
-_STEP = 0.1  # [s]
 #: Number of matches that one process drives in parallel.
 SIDE_BY_SIDE = 28
 
@@ -241,7 +241,7 @@ class _MatchStarts:
         if match.start not in self._states:
             self._states[match.start] = _state_at_go(env, match)
         seconds = _PATIENCE * ai_time(match.track, match.reverse, match.difficulty)
-        options = {"state": self._states[match.start], "max_cycles": math.ceil(seconds / _STEP)}
+        options = {"state": self._states[match.start], "max_cycles": math.ceil(seconds / STEP)}
         return env, env.reset(options=options)[0]
 
     def keep(self, starts: Collection[tuple[Any, ...]]) -> None:

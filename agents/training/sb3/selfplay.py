@@ -42,6 +42,7 @@ from stkzoo._arguments import option
 from stkzoo._schema import Level, Share
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.mirrored import MirroredRaces
+from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.errors import ConfigError
@@ -83,7 +84,6 @@ _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"} | {"n_s
 _REWARD = Reward(
     {"advance": rewards.advance, "places": rewards.overtaking}, {"places": 0.3}, {"advance": 5.0}
 )
-_STEP = 0.1  # [s]
 #: Figures of the log to show.
 _SHOWN = ("pace", "finished", "position", "beaten")
 
@@ -233,7 +233,7 @@ class SelfPlayRaces(RaceVecEnv):
         if ended.any():
             meters = np.where(ended, 10 * infos["final_info"]["reward/advance"], meters)
         self.rewards.append(rewards[learns])
-        self.paces.append((meters / _STEP / self._ai_speeds.reshape(-1))[learns])
+        self.paces.append((meters / STEP / self._ai_speeds.reshape(-1))[learns])
         by_slot: list[dict[str, Any]] = [{} for _ in learns]
         for slot in np.flatnonzero(ended).tolist():
             if learns[slot]:
@@ -258,7 +258,7 @@ class SelfPlayRaces(RaceVecEnv):
         position = int(last["position"][slot])
         if self._seats.is_own[race, agent]:
             meters = max(10 * float(last["episode/reward/advance"][slot]), 1.0)
-            of_ai = _STEP * int(last["episode"]["l"][slot]) * float(self._ai_speeds[race, agent])
+            of_ai = STEP * int(last["episode"]["l"][slot]) * float(self._ai_speeds[race, agent])
             ratio = of_ai / meters if is_finished else None
             reward = float(last["episode"]["r"][slot])
             self.finishes.append(KartRace(self._company, reward, position, ratio))
