@@ -24,6 +24,7 @@ from stkzoo.drivers.sandbox import (
     sandbox_kind,
     say_what_is_missing,
 )
+from stkzoo.env.episode import Episode
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -272,8 +273,7 @@ class _RaceRun:
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
             spec.name = name
         self._observations, self._infos = self._env.reset(seed=self._settings.seed)
-        episode = self._env.live_race.running("run_race")
-        self._length = episode.track_map.length * self._env.options.laps
+        self._length = self._episode.track_map.length * self._env.options.laps
         patience = (self._length / _SLOWEST + _GRACE) / self._env.options.step_size
         self._patience = round(patience)
 
@@ -287,7 +287,7 @@ class _RaceRun:
         for agent, reward in self._rewards.items():
             self._totals[agent] += reward
         self._steps += 1
-        snapshot = self._env.live_race.running("run_race").snapshot
+        snapshot = self._episode.snapshot
         self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
         if self._num_finished():
             self._steps_at_first = min(self._steps_at_first, self._steps)
@@ -369,11 +369,15 @@ class _RaceRun:
         return result
 
     @property
+    def _episode(self) -> Episode:
+        return self._env.live_race.running("run_race")
+
+    @property
     def _race_time(self) -> float:
         return self._steps * self._env.options.step_size
 
     def _result(self, status: str) -> RaceResult:
-        race = self._env.live_race.running("run_race").race
+        race = self._episode.race
         places = dict(zip(self._env.possible_agents, race.kart_indices, strict=True))
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
         return RaceResult(

@@ -41,8 +41,8 @@ class Scene:
         object.__setattr__(self, "colors", tuple(colors[kart] for kart in karts))
         if not self.names:
             default = {kart: f"kart_{agent}" for agent, kart in enumerate(self.kart_indices)}
-            given = enumerate(kart.name for kart in self.setup.karts)
-            names = tuple(name or default.get(kart, "the game") for kart, name in given)
+            in_setup = enumerate(kart.name for kart in self.setup.karts)
+            names = tuple(name or default.get(kart, "the game") for kart, name in in_setup)
             object.__setattr__(self, "names", names)
 
     @property
