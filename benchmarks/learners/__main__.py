@@ -14,7 +14,8 @@ contender but engine, one policy drives all karts:
     pytorch the loop of docs/how-to/pytorch.md on RaceVectorEnv in the view racing
     rllib   PPO of Ray RLlib with stkzoo.agents.training.rllib.selfplay, if Ray is installed
 
-The start and the first updates are not counted; resets and learning are. The time of all cores is
+The first eight updates are not counted; later resets and learning are. Races copy one of eight
+starts, most of which exist before the measured updates, as in a long run. The time of all cores is
 divided into shares: the game's processes, observations, networks, learning, the rest of the
 programs, and waiting, when a core was idle.
 """

@@ -20,10 +20,14 @@ from benchmarks.common import cores
 from benchmarks.learners.shares import Meter, engine_time, processor_times, shares_of
 from stkzoo._os import cpu_count
 
-#: Updates before the measured ones.
-_WARM_UP = 3
+#: Updates before the measured ones, in which nearly all starts are made once.
+_WARM_UP = 8
+#: Different starts that the races copy.
+_NUM_STARTS = 8
 #: Steps of each kart per update of sb3, pytorch and rllib, and of an episode.
 _STEPS, _MAX_CYCLES = 128, 250
+#: Options of the races of sb3 and pytorch.
+_RACES = {"max_cycles": _MAX_CYCLES, "num_starts": _NUM_STARTS}
 #: Measured parts of an actor's time.
 _ACTOR_PARTS = ("networks", "observing")
 
@@ -43,7 +47,10 @@ def ppo(karts: int, races: int, number: int, track: str, iterations: int) -> dic
     from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments, selfplay_setup
 
     arguments = SelfPlayArguments(
-        tracks=(track,), races=(f"{karts}x{races}",), checkpoint_every=10**6
+        tracks=(track,),
+        races=(f"{karts}x{races}",),
+        num_starts=_NUM_STARTS,
+        checkpoint_every=10**6,
     )
     with tempfile.TemporaryDirectory() as folder:
         run = _measured_run(PPORun)(folder, arguments, selfplay_setup(arguments))
@@ -129,7 +136,7 @@ def sb3(karts: int, races: int, number: int, track: str, iterations: int) -> dic
     torch.set_num_threads(1)
     Distribution.set_default_validate_args(False)
     race = {"num_kart": karts, "track": track, "view": "racing", "start": "random"}
-    envs = RaceVecEnv(races, max_cycles=_MAX_CYCLES, num_starts=32, **race)
+    envs = RaceVecEnv(races, **_RACES, **race)
     settings = {"n_steps": _STEPS, "batch_size": 512, "n_epochs": 4, "device": "cpu"}
     model = PPO(
         "MlpPolicy",
@@ -174,7 +181,7 @@ def pytorch(karts: int, races: int, number: int, track: str, iterations: int) ->
         """Records the times and counts at the start of each rollout."""
 
         def __init__(self, _: int, **options: Any) -> None:
-            race = {"num_kart": karts, "track": track, "max_cycles": _MAX_CYCLES, "num_starts": 32}
+            race = {"num_kart": karts, "track": track, **_RACES}
             super().__init__(races, **options | race)
             self.timed_step = meter.timed("observing", super().step)
             self.count = self.kart_steps = 0
