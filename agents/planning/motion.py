@@ -5,8 +5,8 @@ its end if it has lasted long enough. Afterwards the kart keeps turning for a wh
 another drift.
 
 The network predicts how much a kart turns and how its speed changes in the next step. Plans are
-simulated with it or in arcs. ``python -m stkzoo.agents.training.learn_motion`` trained it on races
-on the training tracks.
+simulated with it or in arcs. ``python -m benchmarks.learn_motion`` trained it on races on the
+training tracks.
 """
 
 from __future__ import annotations

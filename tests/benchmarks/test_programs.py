@@ -9,6 +9,8 @@ import zipfile
 
 import pytest
 
+from stkzoo.agents.planning.motion import LAYERS
+from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.suite import SuiteReport
 from tests.support.paths import ROOT
 from tests.support.suite_runs import constant, write_run
@@ -16,7 +18,7 @@ from tests.support.suite_runs import constant, write_run
 pytestmark = pytest.mark.slow
 
 SUITE = "suite_baselines", "suite_pilot", "suite_reference", "suite_teams"
-PROGRAMS = ("steps", "learners", "parity", "ecosystem", *SUITE)
+PROGRAMS = ("steps", "learners", "parity", "ecosystem", "learn_motion", *SUITE)
 
 
 def run(program, *words, expected=0):
@@ -90,6 +92,15 @@ def test_the_rates_of_learners_are_compared_with_the_engines(tmp_path):
     assert engine["rate"] > ppo["rate"] > 0
     assert ppo["engine"] + ppo["learning"] < 1
     assert 0 < page["engine"] < 1
+
+
+@pytest.mark.matrix
+def test_a_network_of_how_karts_move_is_learned(tmp_path):
+    words = ["--rounds", 1, "--n-epochs", 3, "--hidden", 8, 6, "--output", tmp_path]
+    assert "median" in run("learn_motion", *words)
+    weights = load_weights(tmp_path / "motion.safetensors")
+    shapes = [(8, 16), (8,), (6, 8), (6,), (3, 6), (3,)]
+    assert [weights[name].shape for name in LAYERS] == shapes
 
 
 def test_nothing_is_installed_without_consent(tmp_path):

