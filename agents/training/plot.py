@@ -136,18 +136,16 @@ def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None
 def rating_figure(
     curves: Mapping[str, Sequence[tuple[float, Interval]]],
     levels: Mapping[str, float],
-    title: str | None = None,
 ) -> Any:
     """Returns a figure of ratings over kart-steps.
 
     Args:
         curves: kart-steps [millions] and rating of each policy, by name of the curve.
         levels: ratings of fixed drivers, by name.
-        title: title of the figure.
     """
     figure = new_figure(8, 4.5)
     axis = figure.subplots()
-    style_axes(axis, title)
+    style_axes(axis)
     for name, points in curves.items():
         steps = [at for at, _ in points]
         values, lows, highs = np.array([rating for _, rating in points], float).reshape(-1, 3).T

@@ -13,6 +13,8 @@ from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
 from stkzoo.agents.training.common.matches import (
     AI,
+    Finish,
+    Match,
     MatchRecord,
     payoff,
     plan_match_driver,
@@ -157,6 +159,12 @@ def test_a_match_runs_to_its_end():
     ratings = rate_orders([match.order])
     assert ratings["plans"].value > ratings["brakes"].value
     assert play_records(matches, drivers, 3) == [match]
+
+
+def test_ranks_without_a_driver_belong_to_the_ai():
+    match = Match(("a", "b", "a"), "lighthouse", bots=2)
+    ends = [Finish(1.0, rank) for rank in (1, 3, 4)]
+    assert match.order(ends) == ["a", "ai", "b"]
 
 
 # ---------------------------------------------------------------------- learning

@@ -3,7 +3,6 @@
 import importlib
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,6 @@ from stkzoo.agents.training.common.run_folder import (
     CHECKPOINT,
     LOG,
     TrainingLog,
-    continue_json_lines,
     keep_arguments,
     read_log,
     save_checkpoint,
@@ -23,13 +21,6 @@ from stkzoo.agents.training.common.run_folder import (
 from stkzoo.agents.training.sb3 import selfplay as sb3
 from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A line of a log."""
-
-    iteration: int
 
 
 def write_iterations(folder, count, rest=""):
@@ -69,28 +60,6 @@ def test_a_damaged_line_within_a_log_is_reported(tmp_path):
         TrainingLog(tmp_path, 2)
 
 
-@pytest.mark.parametrize("count", [0, 2])
-def test_lines_can_be_added_after_an_incomplete_one(count, tmp_path):
-    write_iterations(tmp_path, count, '{"iter')
-    before = continue_json_lines(tmp_path / LOG, Line)
-    with (tmp_path / LOG).open("a") as file:
-        file.write('{"iteration": 9}\n')
-    assert continue_json_lines(tmp_path / LOG, Line) == [*before, Line(9)]
-    assert [line.iteration for line in before] == list(range(1, count + 1))
-
-
-@pytest.mark.parametrize("make_link", [Path.symlink_to, Path.hardlink_to])
-def test_lines_are_not_added_to_a_file_that_a_link_names(make_link, tmp_path):
-    users, log = tmp_path / "mine", tmp_path / LOG
-    users.write_text('{"iteration": 1}\n{"iter')
-    make_link(log, users)
-    assert continue_json_lines(log, Line) == [Line(1)]
-    with log.open("a") as file:
-        file.write('{"iteration": 2}\n')
-    assert users.read_text() == '{"iteration": 1}\n{"iter'
-    assert continue_json_lines(log, Line) == [Line(1), Line(2)]
-
-
 def test_figures_that_are_not_finite_are_logged_as_null(tmp_path):
     with TrainingLog(tmp_path, 0) as log:
         log.write({"iteration": 1, "kart_steps": 10, "kl": float("nan"), "loss": float("-inf")})
@@ -123,7 +92,6 @@ COMMANDS = {
     "rllib.selfplay": [],
     "imitation.imitate": [],
     "imitation.distill": [],
-    "rate": ["another-run"],
 }
 
 

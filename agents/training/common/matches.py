@@ -360,7 +360,7 @@ def play_matches(
 
 
 def play_records(
-    matches: Sequence[Match], drivers: Mapping[str, MatchDriver], turn: int = 0
+    matches: Sequence[Match], drivers: Mapping[str, MatchDriver], turn: int
 ) -> list[MatchRecord]:
     """Plays matches and returns their records.
 

@@ -227,38 +227,6 @@ def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
 # ---------------------------------------------------------------------- log
 
 
-def read_json_lines(file: Path, line_type: type[T]) -> list[T]:
-    """Returns the lines of a JSON lines file; empty if the file does not exist.
-
-    An incomplete last line is left out.
-
-    Args:
-        file: the file.
-        line_type: type of a line; see :func:`stkzoo._reading.read_json`.
-
-    Raises:
-        ConfigError: the file is damaged.
-    """
-    if not os.path.lexists(file):
-        return []
-    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
-        return read_lines(file, line_type, _MAX_BYTES)
-
-
-def continue_json_lines(file: Path, line_type: type[T]) -> list[T]:
-    """Returns the lines of a JSON lines file to which a continued run appends.
-
-    An incomplete last line is removed from the file, so that the next line does not continue it. If
-    the file is a link, a copy replaces it, so that the file that it names stays as it is.
-    See :func:`read_json_lines` for the arguments and errors.
-    """
-    lines = read_json_lines(file, line_type)
-    if file.exists():
-        text = file.read_text("utf-8", "ignore")
-        write_text(file, text[: text.rfind("\n") + 1])
-    return lines
-
-
 def _json_line(line: Mapping[str, Any]) -> str:
     """Returns a line of a log. JSON has no infinite numbers and no NaN; they become null."""
     return msgspec.json.encode(line).decode() + "\n"
@@ -267,10 +235,16 @@ def _json_line(line: Mapping[str, Any]) -> str:
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """Returns the lines of a run's log; empty if there is no log.
 
+    An incomplete last line is left out.
+
     Raises:
         ConfigError: the log is damaged.
     """
-    return read_json_lines(folder / LOG, dict[str, Any])
+    file = folder / LOG
+    if not os.path.lexists(file):
+        return []
+    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
+        return read_lines(file, dict[str, Any], _MAX_BYTES)
 
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:

@@ -17,7 +17,7 @@ TensorBoard files, ``policy-STEPS.safetensors``, and ``agent``, which ``stkzoo r
 
     tensorboard --logdir runs
     python -m stkzoo.agents.training.plot runs/first
-    python -m stkzoo.agents.training.rate runs/first --every 0 --output ratings
+    python -m stkzoo.agents.training.evaluate runs/first/policy-*.safetensors
     stkzoo race runs/first/agent ai ai random --track lighthouse
 """
 
