@@ -52,7 +52,7 @@ class ActionFilter:
     Args:
         karts: number of karts.
         hold: minimum steps of a drift; 0 leaves drifts and nitro to the choices.
-        memory: the karts' memory, if the caller updates it and never calls :meth:`look`.
+        memory: the karts' memory; by default, a new one.
         recovers: whether stuck karts free themselves.
         samples: whether :meth:`drive` samples choices from their probabilities. The seed is the
             kart's first observation, so a race can be repeated.
@@ -135,10 +135,6 @@ class ActionFilter:
         self._memory.look_around(10.0 * aside)
         self._has_moved |= np.abs(views[:, _SPEED]) > _MOVES
         self._memory.forget(np.flatnonzero(~self._has_moved))  # karts on the grid are not stuck
-        return self.see(views)
-
-    def see(self, views: FloatArray) -> FloatArray:
-        """Returns the policy's input without advancing the memory."""
         self._views = views
         return np.concatenate([views, self._memory.numbers()], axis=1)
 

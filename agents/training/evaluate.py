@@ -46,7 +46,6 @@ def evaluate(
     *,
     karts: int = 1,
     bots: int = 4,
-    first_number: int = _FIRST_NUMBER,
 ) -> list[list[list[Finish]]]:
     """Drives the races.
 
@@ -56,12 +55,11 @@ def evaluate(
         numbers: races per track and direction.
         karts: karts of the policy in each race.
         bots: karts of the game's AI at its highest difficulty in each race.
-        first_number: number of the first starting point.
 
     Returns:
         For each driver and race, the finishes of its karts.
     """
-    starts = range(first_number, first_number + numbers)
+    starts = range(_FIRST_NUMBER, _FIRST_NUMBER + numbers)
     places = list(itertools.product(tracks, (False, True), starts))
     results: list[list[list[Finish]]] = [[] for _ in drivers]
     by_name = {str(number): driver for number, driver in enumerate(drivers)}

@@ -41,7 +41,7 @@ _PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Pace over the AI's, and share of karts that finished", ("pace", "finished")),
     ("Share of opponents beaten", ("beaten", "beats_past", "beats_bots", "won")),
     ("Return of a race", ("return",)),
-    ("Time over the AI's median time", ("time_ratio", "driver_time_ratio", "time_ratio_alone")),
+    ("Time over the AI's median time", ("time_ratio",)),
     ("Loss [nats]", ("loss",)),
 )
 #: Styles of the figures of a panel, if colors mean runs.

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from stkzoo.agents.training.common.arguments import track_names
-from stkzoo.agents.training.imitation.distill import DistillationArguments
+from stkzoo.agents.training.imitation.imitate import ImitationArguments
 from stkzoo.agents.training.league.league import LeagueArguments
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.agents.training.sb3.selfplay import SB3Arguments, selfplay_setup
@@ -17,12 +17,12 @@ def test_names_of_splits_are_replaced_with_their_tracks():
     assert track_names(["lighthouse", "validation"]) == ("lighthouse", *VALIDATION_TRACKS)
 
 
-@pytest.mark.parametrize("kind", [DistillationArguments, LeagueArguments, SelfPlayArguments])
+@pytest.mark.parametrize("kind", [ImitationArguments, LeagueArguments, SelfPlayArguments])
 def test_training_excludes_the_validation_tracks(kind):
     assert kind(tracks=("train_only",)).tracks == TRAIN_ONLY_TRACKS
 
 
-@pytest.mark.parametrize("kind", [DistillationArguments, SB3Arguments, SelfPlayArguments])
+@pytest.mark.parametrize("kind", [ImitationArguments, SB3Arguments, SelfPlayArguments])
 def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
     with pytest.raises(ConfigError, match=r"unknown track 'lighthous'\. Did you mean 'lighthouse'"):
         kind(tracks=("lighthous",))

@@ -8,16 +8,16 @@ import pytest
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.export import export_policy
-from stkzoo.agents.training.imitation import imitate, lessons
-from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
-from stkzoo.agents.training.imitation.network import fit, held_out, mirrored
+from stkzoo.agents.training.imitation import imitate
+from stkzoo.agents.training.imitation.imitate import ImitationArguments, drive_race, main, run
+from stkzoo.agents.training.imitation.lessons import Lesson, fit, held_out, mirrored
 from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 torch = pytest.importorskip("torch")
 
-SMALL = TeacherArguments(
+SMALL = ImitationArguments(
     teacher="pursuit",
     rounds=1,
     tracks=("olivermath",),
@@ -75,13 +75,14 @@ def test_an_example_is_held_out_in_all_rounds_or_in_none(tmp_path, monkeypatch):
         found.append(is_held_out)
         return fit(network, observations, actions, is_held_out, **how)
 
-    def drive(number, _):
-        return lessons.Lesson(*examples(500 + number), (1.0,), 1)
+    def drive(_arguments, _folder, number, _report):
+        return Lesson(*examples(500 + number), (1.0,), 1)
 
-    monkeypatch.setattr(lessons, "fit", record)
+    monkeypatch.setattr(imitate, "fit", record)
+    monkeypatch.setattr(imitate, "_drive_round", drive)
     small = {"hidden": (4,), "n_epochs": 1, "n_epochs_last": 1}
-    arguments = TeacherArguments(teacher="pursuit", rounds=2, **small)
-    lessons.run_rounds(arguments, tmp_path, "nobody", drive, lambda *_: None)
+    arguments = ImitationArguments(teacher="pursuit", rounds=2, **small)
+    run(arguments, tmp_path)
     assert [len(each) for each in found] == [500, 1001, 1503]
     np.testing.assert_array_equal(found[1][:500], found[0])
     np.testing.assert_array_equal(found[2][:1001], found[1])
@@ -173,4 +174,4 @@ def test_invalid_arguments_are_reported(words, text, tmp_path, capsys):
 
 
 def test_the_games_ai_can_be_cloned_without_rounds_of_labels():
-    assert TeacherArguments(teacher="ai", rounds=0).rounds == 0
+    assert ImitationArguments(teacher="ai", rounds=0).rounds == 0

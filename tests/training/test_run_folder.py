@@ -91,7 +91,6 @@ COMMANDS = {
     "sb3.selfplay": [],
     "rllib.selfplay": [],
     "imitation.imitate": [],
-    "imitation.distill": [],
 }
 
 

@@ -94,21 +94,15 @@ def plan_match_driver(
     return MatchDriver(take_karts, rules)
 
 
-def network_driver(choose: Callable[[FloatArray], Any], hold: int = 0) -> MatchDriver:
-    """Returns a driver that follows a network's choices on the view ``racing``.
-
-    Args:
-        choose: returns choices ``(karts, 5)`` for the karts' inputs, such as
-            :meth:`~stkzoo.agents.pretrained.mlp.MlpDriver.best`.
-        hold: minimum steps of a drift.
-    """
+def _network_match_driver(policy: MlpDriver) -> MatchDriver:
+    """Returns a driver that takes a network's most likely choices on the view ``racing``."""
 
     def take_karts(count: int) -> KartController:
-        action_filter = ActionFilter(count, hold)
+        action_filter = ActionFilter(count, policy.hold)
 
         def control(seen: Seen) -> FloatArray:
-            views = racing_features(around_of(seen))
-            return controls_of_choices(action_filter.apply(choose(action_filter.look(views))))
+            inputs = action_filter.look(racing_features(around_of(seen)))
+            return controls_of_choices(action_filter.apply(policy.best(inputs)))
 
         return control
 
@@ -132,7 +126,7 @@ def match_driver(source: str | Path) -> MatchDriver:
     is_agent = path.is_dir()
     policy = read_policy(path) if is_agent else policy_of(load_weights(path), str(path))
     if isinstance(policy, MlpDriver):
-        return network_driver(policy.best, policy.hold)
+        return _network_match_driver(policy)
     rules = read_numbers(path) if is_agent else run_parameters(path)
     return plan_match_driver(policy, rules)
 

@@ -1,1 +1,1 @@
-"""Imitation of a driver (DAgger), and distillation of plans into a network."""
+"""Imitation of a driver: behavior cloning and DAgger."""

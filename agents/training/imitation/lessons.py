@@ -1,68 +1,28 @@
-"""Rounds of learning from a teacher, shared by both scripts.
-
-In the first round the teacher drives. In the others the learner drives, and the teacher labels the
-visited states with the action it would take (DAgger: Ross, Gordon and Bagnell, 2011). After each
-round the network learns from all lessons so far.
-"""
+"""Lessons: examples from the races of a round, and how a network learns from them."""
 
 from __future__ import annotations
 
-import shutil
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arrays import read_arrays, write_arrays
-from stkzoo._locks import locked_folder
-from stkzoo._os import write_whole
 from stkzoo._reading import reading
-from stkzoo._schema import Level
-from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.wrappers.racing import SIZE
+from stkzoo.wrappers.racing import CHOICES, MIRROR
 
-from ..common.arguments import NetworkArguments, ScriptOptions
-from ..common.command import ProgressBar
-from ..common.run_folder import keep_arguments, read_log, write_log
-from ..export import export_policy
-from ..plot import plot_runs
+from ..common.command import training_library, training_torch
 from ..ppo.network import RacingNetwork
-from .network import fit, held_out
 
-A = TypeVar("A")
 Numbers = npt.NDArray[Any]
 
-#: Largest size of a round's lessons [bytes].
+#: Largest size of a lesson's file [bytes].
 _MAX_BYTES = 8 << 30
-
-_POLICY, _PLOT = "policy.safetensors", "imitation.png"
-
-#: Called with the current stage, the work done, and the total work.
-Report = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class ImitationArguments(NetworkArguments):
-    """Arguments of both scripts.
-
-    Attributes:
-        rounds: rounds in which the learner drives and learns.
-        n_epochs_last: passes over all lessons in the last round.
-        difficulty: skill of the game's AI and speed of all karts, 0 to 3; the AI's
-            times at it are the reference.
-    """
-
-    #: Fields that may change when a run continues.
-    free: ClassVar[tuple[str, ...]] = ("rounds",)
-
-    rounds: int = 5
-    n_epochs_last: int = 12
-    difficulty: Level = 3
+#: Standard deviation of the label smoothing over neighboring steering choices [choices].
+_BLUR = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,138 +74,102 @@ class Lesson:
             return cls(arrays["observations"], arrays["actions"], ratios, finished)
 
 
-def run_rounds(
-    arguments: ImitationArguments,
-    folder: Path,
-    teacher: str,
-    drive: Callable[[int, Path | None], Lesson],
-    report: Report,
-    *,
-    inputs: int = SIZE,
-    hold: int = 0,
-    judge: Callable[[MlpDriver], dict[str, float]] | None = None,
-) -> list[dict[str, Any]]:
-    """Learns round by round; starts or continues a run.
+def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]:
+    """Returns the examples mirrored left to right."""
+    turned = actions.copy()
+    turned[:, 0] = CHOICES[0] - 1 - turned[:, 0]
+    return observations * MIRROR, turned
+
+
+def held_out(count: int, seed: Sequence[int]) -> npt.NDArray[np.bool_]:
+    """Returns which examples of a lesson are held out, ``(count,)``: 5% of them, in blocks.
 
     Args:
-        arguments: arguments of the run.
-        folder: folder of the run.
-        teacher: name of the teacher in the log.
-        drive: drives the races of a round; called with its number and the file of the policy that
-            drives, or ``None`` for the teacher.
-        report: called in each round.
-        inputs: size of the network's input.
-        hold: minimum steps of the network's drifts.
-        judge: returns figures on each round's network for the log. Without it, a last round only
-            evaluates.
+        count: number of examples.
+        seed: seed of the choice; the same one gives the same examples in each round.
+    """
+    random = np.random.default_rng(seed)
+    chosen = np.repeat(random.random(count // 100 + 1) < 0.05, 100)[:count]
+    if chosen.all() or not chosen.any():
+        chosen = np.arange(count) % 20 == 0
+    return chosen
+
+
+def fit(
+    network: RacingNetwork,
+    observations: Numbers,
+    actions: Numbers,
+    is_held_out: npt.NDArray[np.bool_],
+    *,
+    n_epochs: int,
+    learning_rate: float,
+    batch_size: int,
+    seed: int,
+) -> dict[str, Any]:
+    """Trains a network on examples and evaluates it on those that are held out.
+
+    Args:
+        network: its policy learns, from its current weights on.
+        observations: ``(N, inputs)``.
+        actions: ``(N, 5)``.
+        is_held_out: ``(N,)``, see :func:`held_out`. As the network keeps its weights from round to
+            round, an example must be held out in all rounds or in none.
+        n_epochs: passes over all examples.
+        learning_rate: initial learning rate of Adam; it decays to 0.
+        batch_size: examples per gradient step.
+        seed: seed of their order.
 
     Returns:
-        The log, one line per round: the driver, its results, and the fit of the network.
-
-    Raises:
-        ConfigError: torch is not installed, or the folder contains another run.
+        For the log: ``loss``, the mean cross-entropy, summed over the five choices [nats], and
+            ``accuracy``, the fraction of correct choices: steering, pedal, drift, nitro, fire.
     """
-    keep_arguments(folder, arguments, arguments.free)
-    log = [line for line in read_log(folder) if "loss" in line]
-    network = RacingNetwork(arguments.hidden, arguments.seed, inputs=inputs, hold=hold)
-    if log:
-        network.start_from(load_weights(_policy(folder, len(log) - 1)))
-    for number in range(len(log), arguments.rounds + (1 if judge else 2)):
-        lesson = _lesson(folder, number, drive)
-        log.append(_driven(number, teacher, lesson))
-        if judge is None and number > arguments.rounds:
-            break
-        parts = [Lesson.load(_file(folder, n)) for n in range(number + 1)]
-        sizes = [len(part.actions) for part in parts]
-        lessons = Lesson.joined(parts)
-        report(f"round {number}: learning from {len(lessons.actions):,} examples", 0, 1)
-        fitted = fit(
-            network,
-            lessons.observations,
-            lessons.actions,
-            np.concatenate([held_out(size, (arguments.seed, n)) for n, size in enumerate(sizes)]),
-            n_epochs=arguments.n_epochs_last if number == arguments.rounds else arguments.n_epochs,
-            learning_rate=arguments.learning_rate,
-            batch_size=arguments.batch_size,
-            seed=arguments.seed + number,
-        )
-        save_weights(_policy(folder, number), network.policy_weights())
-        figures = judge(load_driver(_policy(folder, number))) if judge else {}
-        log[-1] |= {"examples": len(lessons.actions), **fitted, **figures}
-        write_log(folder, log)
-    write_log(folder, log)
-    with write_whole(folder / _POLICY, "the policy") as part:
-        shutil.copyfile(_policy(folder, arguments.rounds), part)
-    export_policy(folder / _POLICY, "student", folder / "agent")
-    return log
+    torch = training_torch()
+    random = np.random.default_rng(seed)
+    kept = observations[~is_held_out], actions[~is_held_out]
+    both = [np.concatenate(pair) for pair in zip(kept, mirrored(*kept), strict=True)]
+    inputs = torch.from_numpy(both[0].astype(np.float32))
+    targets = torch.from_numpy(both[1].astype(np.int64))
+    bells = torch.from_numpy(_bells())
+    optimizer = torch.optim.Adam(network.policy.parameters(), lr=learning_rate)
+    total = max(n_epochs * -(-len(targets) // batch_size), 1)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, total)
+    for _ in range(n_epochs):
+        order = torch.from_numpy(random.permutation(len(targets)))
+        for rows in order.split(batch_size):
+            steer, *others = targets[rows].T
+            parts = network.policy(inputs[rows]).split(CHOICES, dim=1)
+            loss = sum(_losses(parts, [bells[steer], *others]))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+    return _judge(torch, network, observations[is_held_out], actions[is_held_out])
 
 
-def _lesson(folder: Path, number: int, drive: Callable[[int, Path | None], Lesson]) -> Lesson:
-    """Returns a round's lesson from its file, or drives its races."""
-    file = _file(folder, number)
-    if not file.exists():
-        drive(number, _policy(folder, number - 1) if number else None).save(file)
-    return Lesson.load(file)
+def _bells() -> npt.NDArray[np.float32]:
+    """Returns the smoothed target for each steering choice, ``(21, 21)``."""
+    places = np.arange(CHOICES[0])
+    bells = np.exp(-(((places[:, None] - places) / _BLUR) ** 2) / 2)
+    shares: npt.NDArray[np.float32] = (bells / bells.sum(axis=1, keepdims=True)).astype(np.float32)
+    return shares
 
 
-def _file(folder: Path, number: int) -> Path:
-    return folder / f"lessons-{number:02d}.safetensors"
+def _losses(logits: Sequence[Any], targets: Sequence[Any]) -> list[Any]:
+    """Returns the mean cross-entropy of each choice; targets are indices or distributions."""
+    entropy = training_library("torch").nn.functional.cross_entropy
+    return [entropy(*pair) for pair in zip(logits, targets, strict=True)]
 
 
-def _policy(folder: Path, number: int) -> Path:
-    return folder / f"policy-{number:02d}.safetensors"
-
-
-def _driven(number: int, teacher: str, lesson: Lesson) -> dict[str, Any]:
-    """Returns the log line of a round's races."""
-    ratios, names = lesson.ratios, (teacher, "behavior cloning")
-    return {
-        "round": number,
-        "driver": names[number] if number < 2 else f"DAgger, round {number - 1}",
-        "time_ratio": round(float(np.mean(ratios)), 4),
-        "error": round(float(np.std(ratios) / max(len(ratios) - 1, 1) ** 0.5), 4),
-        "finished": round(lesson.finished / len(ratios), 4),
-        "karts": len(ratios),
-    }
-
-
-def _summary(line: Mapping[str, Any]) -> str:
-    text = (
-        f"{line['driver']}: time ratio {line['time_ratio']:.3f} +- {1.96 * line['error']:.3f}, "
-        f"{line['finished']:.0%} of {line['karts']} karts finished"
-    )
-    if "examples" in line:
-        steer = line["accuracy"][0]
-        text += f"; then learned from {line['examples']:,} examples: steering right in {steer:.0%}"
-    if "time_ratio_alone" in line:
-        text += (
-            f"; alone {line['time_ratio_alone']:.3f} of the AI's time, "
-            f"{line['unfinished']} unfinished"
-        )
-    return text
-
-
-def show_rounds(
-    run: Callable[[A, Path, Report], list[dict[str, Any]]], options: ScriptOptions, arguments: A
-) -> None:
-    """Runs a script, shows its progress, and prints and plots its results.
-
-    Args:
-        run: the script; returns the log.
-        options: folder of the run.
-        arguments: arguments of the run.
-    """
-    folder, stages = options.output, list[str]()
-    with locked_folder(folder, "run"), ProgressBar(1, unit="done") as bar:
-
-        def report(stage: str, done: int, total: int) -> None:
-            if not bar.is_shown and stage not in stages:
-                print(stage, file=sys.stderr, flush=True)
-            stages.append(stage)
-            bar.show(done, stage, total)
-
-        log = run(arguments, folder, report)
-    for line in log:
-        print(_summary(line))
-    plot_runs([folder], folder / _PLOT)
-    print(f"more in {folder}: {_POLICY}, {_PLOT}, agent; try: stkzoo race {folder / 'agent'} ai")
+def _judge(
+    torch: Any, network: RacingNetwork, observations: Numbers, actions: Numbers
+) -> dict[str, Any]:
+    targets = torch.from_numpy(actions.astype(np.int64)).T
+    with torch.no_grad():
+        logits = network.policy(torch.from_numpy(observations.astype(np.float32)))
+        parts = logits.split(CHOICES, dim=1)
+        loss = sum(map(float, _losses(parts, targets)))
+        right = [
+            float((part.argmax(1) == target).float().mean())
+            for part, target in zip(parts, targets, strict=True)
+        ]
+    return {"loss": round(loss, 4), "accuracy": [round(share, 4) for share in right]}
