@@ -9,7 +9,7 @@
    multiply-adds, and for all others. The version is chosen when the module is loaded. Older
    compilers can only name an Intel processor for the first version, so processors of other
    vendors run the second one. */
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
+#if defined(__x86_64__) && defined(__linux__)
 #if __GNUC__ >= 12 && !defined(__clang__)
 #define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=x86-64-v3", "default")))
 #else
@@ -21,18 +21,10 @@
 
 /* A helper of a FOR_ALL_PROCESSORS function. It is inlined, so each version of that function has a
    copy that is compiled for the same processor. */
-#ifdef __GNUC__
 #define FORCE_INLINE __attribute__((always_inline)) static inline
-#else
-#define FORCE_INLINE static inline
-#endif
 
 /* A vector of floats. Operations on it give the same results as on one number at a time. */
-#ifdef __GNUC__
 typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
-#else
-typedef float Lanes;
-#endif
 
 /* Computes sine and cosine as NumPy does in float32: a Cody-Waite reduction, followed by
    polynomials. */

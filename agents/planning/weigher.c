@@ -11,10 +11,8 @@
    can vectorize the loop. */
 #if defined(__clang__)
 #define NO_OVERLAP _Pragma("clang loop vectorize(assume_safety)")
-#elif defined(__GNUC__)
-#define NO_OVERLAP _Pragma("GCC ivdep")
 #else
-#define NO_OVERLAP
+#define NO_OVERLAP _Pragma("GCC ivdep")
 #endif
 
 enum { ITEM_LANES = 2 };
@@ -45,12 +43,8 @@ typedef struct {
 
 /* Rectified linear units, which let NaN pass. They use a mask, because in C compilers reject ?: for
    vectors. */
-#ifdef __GNUC__
 typedef npy_int32 Masks __attribute__((vector_size(32), aligned(4), may_alias));
 #define RECTIFIED(X) (Lanes)(~((X) <= 0) & (Masks)(X))
-#else
-#define RECTIFIED(X) ((X) <= 0 ? 0 : (X))
-#endif
 
 /* Number of units whose sums are kept in registers, number of vectors per unit, and number of plans
    in these vectors. */
