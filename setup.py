@@ -40,7 +40,7 @@ if sys.platform == "linux" and _COMPILING & set(sys.argv):
 
 _IS_LINUX = sys.platform == "linux"
 _LIBM_SOURCES = ["stkzoo/engine/libm.c"] if _IS_LINUX else []
-_IS_X86 = platform.machine() in ("x86_64", "AMD64")
+_IS_X86 = platform.machine() == "x86_64"
 _PARTS = (
     "module",
     "action_reader",
@@ -58,12 +58,9 @@ _PARTS = (
 
 _PLANNING_PARTS = ("module", "memory", "network", "viewer", "weigher")
 
-if sys.platform == "win32":
-    _FLAGS, _LIBRARIES = [], []
-else:
-    # Rounding must match numpy; errno and floating-point exceptions are unused.
-    _FLAGS = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
-    _LIBRARIES = ["m"]
+# Rounding must match numpy; errno and floating-point exceptions are unused.
+_FLAGS = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+_LIBRARIES = ["m"]
 
 _KERNEL = Extension(
     "stkzoo.kernel._kernel",
@@ -71,7 +68,7 @@ _KERNEL = Extension(
     depends=[f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel")],
     include_dirs=[numpy.get_include()],
     # Hidden functions: the extensions then call their own libm, not that of the system.
-    extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
+    extra_compile_args=[*_FLAGS, "-fvisibility=hidden"],
     libraries=_LIBRARIES,
 )
 _PLANNING = Extension(
@@ -86,7 +83,7 @@ _PLANNING = Extension(
         *(f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel")),
     ],
     include_dirs=[numpy.get_include(), "stkzoo/kernel"],
-    extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
+    extra_compile_args=[*_FLAGS, "-fvisibility=hidden"],
     libraries=_LIBRARIES,
 )
 # Not Python modules: the dynamic linker loads them into engine processes.

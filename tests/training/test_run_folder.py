@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -94,7 +93,6 @@ COMMANDS = {
 }
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
 @pytest.mark.parametrize("name", COMMANDS)
 def test_two_programs_cannot_train_in_one_folder(name, tmp_path, capsys):
     if name.startswith("rllib"):
@@ -106,7 +104,6 @@ def test_two_programs_cannot_train_in_one_folder(name, tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["lock"]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
 def test_two_programs_cannot_train_a_reference_algorithm_in_one_folder(tmp_path):
     with locked_folder(tmp_path, "run"), pytest.raises(ConfigError, match="another program works"):
         algorithms.run("ippo", tmp_path, "solo-general", 1, 0)
