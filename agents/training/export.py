@@ -11,8 +11,8 @@ folder of an ensemble adds its members. ``--plans FILE`` gives an ensemble other
 
 The folder contains the weights; ``card.json`` with their digest, the training arguments (from
 ``arguments.json`` beside the weights, if it exists) and, for policies over plans, the parameters of
-the plans; a ``CARD.md`` template for you to complete; and the agent's module. Race it with ``stkzoo
-race agents/pretrained/swift``, or with ``pretrained:swift`` if it is one of stkzoo's own agents.
+the plans; and the agent's module. Race it with ``stkzoo race agents/pretrained/swift``, or with
+``pretrained:swift`` if it is one of stkzoo's own agents.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ from .common.run_folder import (
 #: Arrays with this in their name belong to the value network.
 _VALUES = "value"
 
-_MODULE = '''"""The learned driver {name}; see ``CARD.md``."""
+_MODULE = '''"""The learned driver {name}; see ``card.json``."""
 
 from stkzoo.agents.pretrained.driver import functions_in
 
@@ -71,18 +71,6 @@ env_name = "supertuxkart/{view}-v0"
 player_name = "{name}"
 create_state, get_actor, get_batch_actor = functions_in(__file__)
 '''
-
-_CARD = """\
-# {name}
-
-A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
-
-- **Network:** {parameters:,} parameters (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
-- **Data:** TO BE WRITTEN; `card.json` has the arguments of the training runs.
-- **Command:** TO BE WRITTEN
-- **Results:** TO BE WRITTEN
-- **Limits:** TO BE WRITTEN
-"""
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
@@ -147,10 +135,8 @@ def export_policy(
     # The card is first: it marks the folder as an agent, even if this program is killed later.
     write_json(target / CARD, facts)
     save_weights(target / WEIGHTS, arrays)
-    write_text(target / "__init__.py", f'"""The learned driver {name}; see ``CARD.md``."""\n')
+    write_text(target / "__init__.py", f'"""The learned driver {name}; see ``card.json``."""\n')
     write_text(target / "pystk_actor.py", _MODULE.format(name=name, view=view))
-    if not (target / "CARD.md").exists():
-        write_text(target / "CARD.md", _CARD.format(**facts, weights=WEIGHTS))
     return target
 
 
