@@ -108,15 +108,21 @@ class RaceListener:
         """Called last, also after an error. Release resources here."""
 
 
-class ForwardingListener(RaceListener):
-    """Forwards all calls to another listener.
+class ExpendableListener(RaceListener):
+    """Forwards all calls to another listener, whose failure does not end the race.
+
+    After a failure, the other listener is closed and receives no further calls.
 
     Args:
         listener: the other listener.
+
+    Attributes:
+        error: the listener's failure; ``None`` without one.
     """
 
     def __init__(self, listener: RaceListener) -> None:
         self._listener = listener
+        self.error: Exception | None = None
 
     def env_options(self) -> dict[str, Any]:
         """See :class:`RaceListener`."""
@@ -137,27 +143,6 @@ class ForwardingListener(RaceListener):
     def closed(self) -> None:
         """See :class:`RaceListener`."""
         self._forward(self._listener.closed)
-
-    def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
-        """Makes a call; subclasses may change its arguments."""
-        call(*arguments)
-
-
-class ExpendableListener(ForwardingListener):
-    """Wraps a listener so that its failure does not end the race.
-
-    After a failure, the listener is closed and receives no further calls.
-
-    Args:
-        listener: the wrapped listener.
-
-    Attributes:
-        error: the listener's failure; ``None`` without one.
-    """
-
-    def __init__(self, listener: RaceListener) -> None:
-        super().__init__(listener)
-        self.error: Exception | None = None
 
     def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
         if self.error is not None:

@@ -40,8 +40,8 @@ from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.mdp.spaces import action_of, controls_of
-from stkzoo.race.listeners import ForwardingListener, RaceListener, RaceProgress
-from stkzoo.race.result import AgentFailure, RaceResult, versions_now
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.runner import run_race
 from stkzoo.render.scene import Ghost
 
@@ -371,13 +371,12 @@ def play_replay(
     """
     _check_engine(replay, any_engine)
     comparison = _Comparison(replay, to_the_end)
-    watching = [_WithRecordedFailures(listener, replay, comparison) for listener in listeners]
     settings = {name: getattr(replay, name) for name in (*_FACTS, "kart", "seed", "max_paths")}
     # The number of tracks to draw from affects the random numbers that are drawn after it.
     settings["track"] = (replay.track,) * replay.num_tracks
     result = run_race(
         [_driver(replay, number) for number in range(len(replay.agents))],
-        listeners=[comparison, *watching],
+        listeners=[comparison, *listeners],
         start_positions=replay.start_positions,
         **settings,
         max_steps=replay.steps + 1,  # the comparison ends the race one step earlier
@@ -497,43 +496,6 @@ def _is_equal(one: Any, two: Any) -> bool:
     if isinstance(one, float) and isinstance(two, float):  # the kernel and numpy round differently
         return math.isclose(one, two, rel_tol=1e-4, abs_tol=1e-2)
     return bool(one == two)
-
-
-def _has_happened(failure: AgentFailure, steps: int) -> bool:
-    """Returns whether a race has shown a failure after a number of steps.
-
-    A failure in a decision shows when the step that follows it has ended.
-    """
-    is_on_the_grid = failure.kind == "start" and failure.step == 0
-    return is_on_the_grid or failure.step < steps
-
-
-class _WithRecordedFailures(ForwardingListener):
-    """Wraps a listener and shows it the recorded failures.
-
-    No agent fails in a replay, because the recording contains the replacement actions.
-    """
-
-    def __init__(self, listener: RaceListener, replay: Replay, comparison: _Comparison) -> None:
-        super().__init__(listener)
-        self._comparison = comparison
-        agents = replay.result.agents if replay.result else ()
-        self._failures = {row.agent: row.errors for row in agents}
-
-    def ended(self, result: RaceResult) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        super().ended(self._comparison.playback(result).result)
-
-    def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
-        now = (self._now(one) if isinstance(one, RaceProgress) else one for one in arguments)
-        super()._forward(call, *now)
-
-    def _now(self, race: RaceProgress) -> RaceProgress:
-        failures = {
-            agent: tuple(failure for failure in failures if _has_happened(failure, race.steps))
-            for agent, failures in self._failures.items()
-        }
-        return replace(race, failures=failures, seconds={})
 
 
 # ---------------------------------------------------------------------- ghosts
