@@ -34,7 +34,7 @@ from stkzoo.race.settings import ERROR_HANDLING, RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.race.runner import RaceInterrupted, run_race
-    from stkzoo.race.video import RaceFilm, RaceVideo
+    from stkzoo.race.video import RaceVideo
 
 __all__ = [
     "ERROR_HANDLING",
@@ -49,7 +49,6 @@ __all__ = [
     "DriverInstance",
     "DriverLimits",
     "DriverRequest",
-    "RaceFilm",
     "RaceInterrupted",
     "RaceListener",
     "RaceProgress",
@@ -65,6 +64,6 @@ __dir__ = __all__.copy
 # Imported on first use, because they load the environment and the renderer.
 _HOMES = {
     "stkzoo.race.runner": ("RaceInterrupted", "run_race"),
-    "stkzoo.race.video": ("RaceFilm", "RaceVideo"),
+    "stkzoo.race.video": ("RaceVideo",),
 }
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -40,11 +40,12 @@ _MOST_SUB_STEPS = 60
 _MOST_CARD_SECONDS = 3600
 
 
-class RaceFilm:
-    """Records a video of a race from its snapshots.
+class RaceVideo(RaceListener):
+    """Listener that records a video of its race.
 
     One second of the video is one second of the race. The karts' motion between two steps is
-    interpolated. The video does not affect the race.
+    interpolated. The video does not affect the race. If an error ends the race, no file is written.
+    After an interrupt, the file shows the race so far.
 
     Args:
         path: path of the video file; see :data:`stkzoo.render.encoder.FORMATS`.
@@ -87,14 +88,14 @@ class RaceFilm:
         self._cameras, self._sub_steps = cameras, sub_steps
         self._card_seconds, self._ghost = card_seconds, ghost
         self._renderer = RaceRenderer("map" if ghost else backend, self._size, preset)
-        self._writer: VideoWriter | None = None  # since begin
+        self._writer: VideoWriter | None = None  # since started
 
     @property
     def backend(self) -> str:
         """Renderer in use; may be ``"auto"`` before the first frame."""
         return self._renderer.backend
 
-    def begin(self, scene: Scene, snapshot: Snapshot) -> None:
+    def started(self, race: RaceProgress) -> None:
         """Starts the video with a frame of the karts on the grid.
 
         Raises:
@@ -102,6 +103,7 @@ class RaceFilm:
             EngineError: the game cannot render, and ``backend`` does not allow the map.
             VideoError: the file cannot be written.
         """
+        scene = race.scene
         if self._ghost:
             self._ghost.check_track(scene.setup.track, reverse=scene.setup.reverse)
         wanted = min(len(scene.kart_indices), _USUAL_CAMERAS)
@@ -117,57 +119,44 @@ class RaceFilm:
         self._renderer.size = self._tile
         self._renderer.begin(self._scene)
         self._writer = VideoWriter(self.path, self._fps)
-        self._last = snapshot
-        self._write(snapshot)
+        self._last = race.snapshot
+        self._write(self._last)
 
-    def add(self, snapshot: Snapshot) -> None:
+    def stepped(self, race: RaceProgress) -> None:
         """Adds the frames of one step.
 
         Raises:
-            ConfigError: called before :meth:`begin`.
             EngineError: the render process crashed twice in a row.
             VideoError: the file cannot be written.
         """
-        if self._writer is None:
-            raise ConfigError("add() was called before begin(); call begin() first")
-        for between in snapshots_between(self._last, snapshot, self._sub_steps):
+        for between in snapshots_between(self._last, race.snapshot, self._sub_steps):
             self._write(between)
-        self._last = snapshot
+        self._last = race.snapshot
 
-    def finish(self, rows: Sequence[ResultRow], subtitle: str) -> None:
+    def ended(self, result: RaceResult) -> None:
         """Adds the results, then completes the file and moves it to its path.
 
-        Args:
-            rows: rows of the results, best first; if empty, no results are shown.
-            subtitle: line above the results.
-
         Raises:
-            ConfigError: called before :meth:`begin`.
             VideoError: the file cannot be written.
         """
         if self._writer is None:
-            raise ConfigError("finish() was called before begin(); call begin() first")
-        if rows:
-            card = end_card(self._scene.title, subtitle, rows, self._last_picture, self._size)
-            for _ in range(round(self._card_seconds * self._fps)):
-                self._put(card)
+            return
+        how = {"finished": "", "interrupted": ", interrupted"}.get(result.status, ", cut short")
+        subtitle = f"results after {clock(float(self._last.header['time']))}{how}"
+        rows = self._rows(result.agents)
+        card = end_card(self._scene.title, subtitle, rows, self._last_picture, self._size)
+        for _ in range(round(self._card_seconds * self._fps)):
+            self._put(card)
         self._writer.close()
-        self.abort()
 
-    def abort(self) -> None:
-        """Discards the video unless :meth:`finish` completed it; may be called more than once."""
+    def closed(self) -> None:
+        """Discards the video unless :meth:`ended` completed it."""
         if self._writer is not None:
             self._writer.abort()
         self._renderer.close()
 
-    def results(self, agents: Sequence[AgentResult] = ()) -> list[ResultRow]:
-        """Returns result rows for :meth:`finish`, computed from the last snapshot.
-
-        Args:
-            agents: results of agents, in any order; the rows show which of them have retired.
-        """
-        if self._writer is None:
-            return []
+    def _rows(self, agents: Sequence[AgentResult]) -> list[ResultRow]:
+        """Returns result rows, computed from the last snapshot and the agents that have retired."""
         numbers = (int(row.agent.split("_")[1]) for row in agents if row.status == "retired")
         retired = {self._scene.kart_indices[number] for number in numbers}
         return sorted(
@@ -206,7 +195,7 @@ class RaceFilm:
         return self._map.draw(snapshot)
 
     def _put(self, picture: Picture) -> None:
-        assert self._writer is not None  # noqa: S101 - since begin
+        assert self._writer is not None  # noqa: S101 - since started
         self._writer.add(picture)
 
 
@@ -217,30 +206,3 @@ def without_names(scene: Scene, filmed: Sequence[int]) -> Scene:
         for kart, setup in enumerate(scene.setup.karts)
     )
     return replace(scene, setup=replace(scene.setup, karts=karts))
-
-
-class RaceVideo(RaceFilm, RaceListener):
-    """Listener that records a video of its race. It has the arguments of :class:`RaceFilm`.
-
-    If an error ends the race, no file is written. After an interrupt, the file shows the race so
-    far.
-    """
-
-    def started(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.begin(race.scene, race.snapshot)
-
-    def stepped(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.add(race.snapshot)
-
-    def ended(self, result: RaceResult) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        if self._writer is not None:
-            how = {"finished": "", "interrupted": ", interrupted"}.get(result.status, ", cut short")
-            subtitle = f"results after {clock(float(self._last.header['time']))}{how}"
-            self.finish(self.results(result.agents), subtitle)
-
-    def closed(self) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.abort()

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from stkzoo.errors import ConfigError
-from stkzoo.race import RaceFilm, RaceVideo, run_race
+from stkzoo.race import RaceVideo, run_race
 from stkzoo.render import encoder
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
 from stkzoo.render.motion import game_time, poses_between, snapshots_between
@@ -236,7 +236,7 @@ def test_a_race_that_fails_leaves_no_video(tmp_path):
 )
 def test_numbers_out_of_range_are_refused(tmp_path, name, value):
     with pytest.raises(ConfigError, match=f"{name} is {value}"):
-        RaceFilm(tmp_path / "race.mp4", **{name: value})
+        RaceVideo(tmp_path / "race.mp4", **{name: value})
 
 
 @pytest.mark.slow

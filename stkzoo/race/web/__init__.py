@@ -11,7 +11,7 @@ True
 from __future__ import annotations
 
 from stkzoo.race.web.control import SPEEDS
-from stkzoo.race.web.page import LivePage, RaceBroadcast
+from stkzoo.race.web.page import LivePage
 
-__all__ = ["SPEEDS", "LivePage", "RaceBroadcast"]
+__all__ = ["SPEEDS", "LivePage"]
 __dir__ = __all__.copy

@@ -47,13 +47,13 @@ def encoded(message: Mapping[str, Any]) -> str:
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
-def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> dict[str, Any]:
+def race_message(scene: Scene, sources: Mapping[str, str], seed: int) -> dict[str, Any]:
     """Returns the message with the constants of a race.
 
     Args:
         scene: description of the race.
         sources: sources of the agents, by id.
-        seed: the race's seed, if known.
+        seed: the race's seed.
     """
     agents = {kart: f"kart_{number}" for number, kart in enumerate(scene.kart_indices)}
     karts = [

@@ -406,10 +406,10 @@ def key_of(page):
 
 def test_the_next_race_on_a_port_has_the_same_key():
     other, page = LivePage(host="0.0.0.0", port=0), LivePage(host="0.0.0.0", port=0)
-    page.close()
+    page.closed()
     next_page = LivePage(host="0.0.0.0", port=page.port)
-    next_page.close()
-    other.close()
+    next_page.closed()
+    other.closed()
     assert key_of(page) == key_of(next_page) != key_of(other)
 
 
