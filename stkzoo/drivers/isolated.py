@@ -148,7 +148,7 @@ class IsolatedAgent:
             ``None`` if the system does not report it.
         """
         processes = keeper.descendants(self._process.pid)
-        peaks = (keeper.memory_of(process, "status", ("VmHWM:",)) for process in processes)
+        peaks = (keeper.memory_of(process, ("VmHWM:",)) for process in processes)
         return max(peaks, default=0) / 2**20 or None
 
     def close(self) -> None:

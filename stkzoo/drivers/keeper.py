@@ -16,8 +16,7 @@ import os
 import select
 import signal
 import sys
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 #: Interval between two checks of the agent's processes [ms].
 _INTERVAL = 100
@@ -29,8 +28,6 @@ _MAX_FILES = 8192
 #: Maximum number of pipes among them. Linux counts their pages per user, and shrinks new pipes of
 #: the user above 1,024 pipes.
 _MAX_PIPES = 256
-#: Timeout of one wait for the measurement of shared memory [s], and number of waits.
-_MEASURE_TIMEOUT, _MEASURE_TRIES = 0.05, 10
 _PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
 
 
@@ -121,7 +118,7 @@ def _end_all() -> None:
 
 def _excess(memory: int) -> str:
     """Returns which limit the agent's processes exceed, or an empty string."""
-    processes = _processes()
+    processes = [*itertools.islice(descendants(os.getpid()), _MAX_PROCESSES + 1)]
     if len(processes) > _MAX_PROCESSES:
         return f"started more than {_MAX_PROCESSES} processes"
     if sum(map(_threads, processes)) > _MAX_THREADS:  # root has no process limit
@@ -135,56 +132,10 @@ def _excess(memory: int) -> str:
     if not memory:
         return ""
     in_files = _files_in_memory(path for path, link in links.items() if link.startswith("/memfd:"))
-    resident = _total(processes, in_files, "status", "Rss")
-    if resident <= memory:
-        return ""
-    shares = _in_time(lambda: _total(processes, in_files, "smaps_rollup", "Pss_"), resident)
-    is_excess = (shares or resident) > memory
+    private = sum(memory_of(process, ("RssAnon:", "VmPTE:")) for process in processes)
+    shared = sum(memory_of(process, ("RssShmem:",)) for process in processes)
+    is_excess = private + max(shared, in_files) > memory
     return f"used more than {memory >> 20} MB with all its processes" if is_excess else ""
-
-
-def _processes() -> list[int]:
-    """Returns the agent's processes, at most one more than the limit."""
-    return [*itertools.islice(descendants(os.getpid()), _MAX_PROCESSES + 1)]
-
-
-def _in_time(measure: Callable[[], int], otherwise: int) -> int:
-    """Returns a measurement, or ``otherwise`` if the agent prevents it.
-
-    A process can block the measurement by locking its memory. Without processes left for the user,
-    no thread can start.
-    """
-    measured: list[int] = []
-    reader = threading.Thread(target=lambda: measured.append(measure()), daemon=True)
-    try:
-        reader.start()
-    except RuntimeError:
-        return otherwise
-    for _ in range(_MEASURE_TRIES):
-        reader.join(_MEASURE_TIMEOUT)
-        if measured or len(_processes()) > _MAX_PROCESSES:
-            break
-    return measured[0] if measured else otherwise
-
-
-def _total(processes: Sequence[int], in_files: int, file: str, count: str) -> int:
-    """Returns the memory of processes and their page tables [bytes]; 0 if it is not reported.
-
-    Args:
-        processes: process ids.
-        in_files: memory of open anonymous files [bytes], which counts as shared memory.
-        file: file in ``/proc/PROCESS`` with the memory.
-        count: ``"Rss"`` counts shared memory once per process, ``"Pss_"`` once.
-    """
-    private, shared, tables = (
-        sum(memory_of(process, source, (name,)) for process in processes)
-        for source, name in (
-            (file, f"{count}Anon:"),
-            (file, f"{count}Shmem:"),
-            ("status", "VmPTE:"),
-        )
-    )
-    return private and private + tables + max(shared, in_files)
 
 
 def _open_files(processes: Sequence[int]) -> Iterator[str]:
@@ -234,10 +185,10 @@ def _children(process: int) -> list[int]:
     return children
 
 
-def memory_of(process: int, file: str, names: tuple[str, ...]) -> int:
-    """Returns the sum of the named lines of ``/proc/PROCESS/FILE`` [bytes]; 0 if unreadable."""
+def memory_of(process: int, names: tuple[str, ...]) -> int:
+    """Returns the sum of the named lines of ``/proc/PROCESS/status`` [bytes]; 0 if unreadable."""
     total = 0
-    with contextlib.suppress(OSError), open(f"/proc/{process}/{file}") as lines:
+    with contextlib.suppress(OSError), open(f"/proc/{process}/status") as lines:
         for line in lines:
             if line.startswith(names):
                 total += int(line.split()[1]) << 10
