@@ -11,8 +11,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from gymnasium.wrappers.utils import create_zero_array
-
 from stkzoo._checks import shortened
 from stkzoo.drivers.code import Actor, AgentCode
 from stkzoo.drivers.failures import agent_trace, in_words
@@ -84,11 +82,7 @@ class InlineAgent:
         try:
             with self._guarded("action", limit), self._code.scope:
                 seen = self._see(self._observation)
-                try:
-                    action = self._checked(self._actor(seen))
-                except BaseException:
-                    self._skip_step()
-                    raise
+                action = self._checked(self._actor(seen))
                 self._is_begun = True
         except AgentError as error:
             error.seconds = time.perf_counter() - begin
@@ -134,12 +128,6 @@ class InlineAgent:
                 f"its action space:   {shortened(self._chain.action_space, _MAX_VALUE)}"
             )
             raise AgentError(in_words(error), self._request.agent, details) from error
-
-    def _skip_step(self) -> None:
-        """Begins a step for an agent that failed, so that its wrappers keep their state."""
-        with suppress(Exception):
-            self._chain.begin_step(create_zero_array(self._chain.action_space))
-            self._is_begun = True
 
     @contextmanager
     def _guarded(self, phase: str, limit: float | None) -> Iterator[None]:

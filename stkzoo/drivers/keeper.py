@@ -18,8 +18,8 @@ import signal
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 
-#: Interval between two checks of the agent's processes [ms].
-_INTERVAL = 100
+#: Interval between two checks of the agent's processes [s].
+_INTERVAL = 0.1
 #: Maximum number of processes of one agent, and of their threads together.
 _MAX_PROCESSES, _MAX_THREADS = 128, 512
 _MAX_CHILDREN_TEXT = 2048
@@ -49,24 +49,17 @@ def main(race: int, connection: int, memory: int, cores: list[int], command: lis
     _prctl(_PR_SET_DUMPABLE, 0)  # so that other agents cannot take its file descriptors
     with contextlib.suppress(OSError):  # root's agents have no process limit and could starve it
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))
-    woken, wake = os.pipe()
-    os.set_blocking(wake, False)
-    signal.signal(signal.SIGCHLD, lambda *_: None)
-    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # if it is ignored, no exit code is kept
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})
     if cores:  # its checks must not slow down the race or other agents
         os.sched_setaffinity(0, cores)
     agent = _start(command)
     os.close(connection)
-    poller = select.poll()
-    for descriptor in (0, woken):
-        poller.register(descriptor, select.POLLIN)
     status = reason = None
     try:
         while status is None and not reason and os.getppid() == race:
-            events = dict(poller.poll(_INTERVAL))
-            if woken in events:
-                os.read(woken, 4096)
-            if 0 in events:
+            signal.sigtimedwait({signal.SIGCHLD}, _INTERVAL)
+            if select.select([0], [], [], 0)[0]:  # the race has closed the socket
                 break
             status = _reap(agent)
             reason = _excess(memory)
@@ -87,6 +80,7 @@ def _start(command: list[str]) -> int:
     if os.getppid() != keeper:
         os._exit(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
     os.setsid()  # so that an agent's signal to its own process group does not reach the keeper
     with contextlib.suppress(OSError):
         os.execv(command[0], command)  # noqa: S606 - our own command
