@@ -24,7 +24,6 @@ from typing import Any
 
 from stkzoo._arguments import option, options_of, positional
 from stkzoo._checks import check_whole
-from stkzoo.drivers.driver import check_adapter
 from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind, say_what_is_missing
 from stkzoo.race import RaceSettings, find_driver
 from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
@@ -89,7 +88,6 @@ def _server(arguments: RaceServerArguments, settings: RaceSettings) -> RaceServe
         find_driver(agent, inline=settings.inline, adapter=settings.adapter)
         for agent in arguments.agents
     ]
-    check_adapter(drivers, settings.adapter)
     if not settings.inline:
         say_what_is_missing(settings.sandbox)
     keys = ServerKeys(

@@ -7,7 +7,7 @@ import importlib
 import os
 import pickle
 import pkgutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -131,19 +131,6 @@ def driver_names() -> list[str]:
 def _packages(parent: str) -> list[str]:
     folder = importlib.import_module(parent).__path__
     return [module.name for module in pkgutil.iter_modules(folder) if module.ispkg]
-
-
-def check_adapter(drivers: Iterable[Driver], adapter: object) -> None:
-    """Rejects an adapter that would have no effect.
-
-    Raises:
-        ConfigError: there is an adapter, but no driver is loaded from files.
-    """
-    if adapter is not None and not any(driver.is_from_files for driver in drivers):
-        raise ConfigError(
-            "an adapter does nothing without an agent from files; name one, or leave out the "
-            "adapter"
-        )
 
 
 def find_driver(

@@ -15,7 +15,7 @@ import numpy as np
 from stkzoo._checks import check_type
 from stkzoo._schema import distinct_name, plain_name
 from stkzoo.config import AgentSpec
-from stkzoo.drivers.driver import Driver, check_adapter, find_driver
+from stkzoo.drivers.driver import Driver, find_driver
 from stkzoo.drivers.instances import DriverRequest
 from stkzoo.drivers.sandbox import (
     NONE,
@@ -98,7 +98,6 @@ def run_race(
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
     entries = [_driver(driver, chosen) for driver in drivers]
-    check_adapter(entries, chosen.adapter)
     chosen = _of_level(chosen, entries)
     _sandbox(chosen, entries)  # raises or warns before the race starts
     with ExitStack() as resources:

@@ -145,7 +145,6 @@ def test_command_adds_bots_to_fill_the_race(capsys):
         ["ai", "--laps", "0"],
         ["ai", "--seed", "-1"],
         ["no/such/agent.zip"],
-        ["ai", "heuristic", "--adapter", __file__],
         ["ai", "--cameras", "2"],
         ["ai", "--width", "99"],
         ["ai", "--web-port", "8001"],

@@ -176,11 +176,6 @@ def test_invalid_settings_are_refused(settings, message):
         run_race(["tests/data/agents/plain"], track="olivermath", **settings)
 
 
-def test_an_adapter_without_an_agent_from_files_is_refused():
-    with pytest.raises(ConfigError, match="adapter does nothing without an agent from files"):
-        run_race(["ai", "heuristic"], track="olivermath", adapter=__file__)
-
-
 def test_settings_can_be_kept_and_changed():
     settings = RaceSettings(track="olivermath", seed=3, max_steps=4)
     assert run_race(["ai"], settings=settings, seed=4).seed == 4
