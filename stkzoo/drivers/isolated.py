@@ -357,7 +357,7 @@ def _decide(agent: InlineAgent, observation: Any) -> messages.Reply:
     try:
         return messages.Decided.of(agent.answer())
     except AgentError as error:
-        return messages.Failed.of(error)
+        return messages.Failed.of(error, is_usable=True)
 
 
 def _seed_everything(seed: int) -> None:

@@ -30,7 +30,7 @@ from stkzoo.drivers.files import AgentPlace
 from stkzoo.drivers.instances import Decision, DriverInstance
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError
 from stkzoo.kernel import join_rows
-from stkzoo.mdp.spaces import action_of
+from stkzoo.mdp.spaces import action_of, controls_of
 
 #: Maximum size of a message [bytes]. The largest is the first of a race on ``black_forest``: 20
 #: karts with all optional entries of the ``full`` view need 1.5 MB there, and 0.2 to 0.4 MB on
@@ -58,32 +58,12 @@ Decoded = TypeVar("Decoded")
 Count: TypeAlias = Annotated[int, Meta(ge=0, lt=1 << 62)]
 Name: TypeAlias = Annotated[str, Meta(max_length=MAX_NAME)]
 LongText: TypeAlias = Annotated[str, Meta(max_length=2 * MAX_TEXT)]
-_Button: TypeAlias = Annotated[int, Meta(ge=0, le=1)]
+_Share: TypeAlias = Annotated[float, Meta(ge=0, le=1)]
+_Steer: TypeAlias = Annotated[float, Meta(ge=-1, le=1)]
 
 
 class Message(Struct, forbid_unknown_fields=True, tag=str.lower):
     """A message, whose tag is the name of its class."""
-
-
-class Action(Struct, frozen=True, forbid_unknown_fields=True):
-    """An action in the game's own form."""
-
-    acceleration: Annotated[float, Meta(ge=0, le=1)]
-    steer: Annotated[float, Meta(ge=-1, le=1)]
-    brake: _Button
-    drift: _Button
-    fire: _Button
-    nitro: _Button
-    rescue: _Button
-
-    @classmethod
-    def of(cls, action: Mapping[str, Any]) -> Action:
-        """Returns the message for an element of the game's action space."""
-        return cls(**{name: np.asarray(value).item() for name, value in action.items()})
-
-    def values(self) -> dict[str, Any]:
-        """Returns the element of the game's action space."""
-        return action_of(np.array(msgspec.structs.astuple(self), np.float32))
 
 
 # ---------------------------------------------------------------------- an agent's process
@@ -113,36 +93,45 @@ class Ready(Message):
 
 
 class Decided(Message):
-    """From the agent: the action, and whether a number was clipped to its space."""
+    """From the agent: the action, and whether a number was clipped to its space.
 
-    action: Action
+    An action is a row of controls, with the columns of :data:`~stkzoo.engine.snapshot.CONTROLS`.
+    """
+
+    action: tuple[_Share, _Steer, _Share, _Share, _Share, _Share, _Share]
     is_clipped: bool
 
     @classmethod
     def of(cls, decision: Decision) -> Decided:
         """Returns the message for a decision."""
-        return cls(Action.of(decision.action), decision.is_clipped)
+        row: Any = tuple(controls_of(decision.action))
+        return cls(row, decision.is_clipped)
 
     def decision(self, seconds: float) -> Decision:
         """Returns the decision, which took a time [s]."""
-        return Decision(self.action.values(), seconds, self.is_clipped)
+        return Decision(action_of(np.array(self.action, np.float32)), seconds, self.is_clipped)
 
 
 class Failed(Message):
-    """From the agent: why there is no action, or why the agent could not be loaded."""
+    """From the agent: why there is no action, or why the agent could not be loaded.
+
+    ``is_usable`` is whether the agent accepts further observations.
+    """
 
     kind: Literal["error", "timeout"]
     text: LongText
     trace: LongText
+    is_usable: bool
 
     @classmethod
-    def of(cls, error: BaseException) -> Failed:
+    def of(cls, error: BaseException, *, is_usable: bool = False) -> Failed:
         """Returns the report of an exception."""
         trace = error.trace if isinstance(error, AgentError) else agent_trace(error)
         return cls(
             "timeout" if isinstance(error, AgentTimeout) else "error",
             printable(in_words(error), MAX_TEXT),
             printable(bounded(str(trace))),
+            is_usable,
         )
 
     def error(self, agent: str = "", seconds: float = 0.0, server: str = "") -> AgentError:

@@ -23,8 +23,8 @@ from pathlib import Path
 import msgspec
 
 from stkzoo.drivers.files import find_files, unpack
+from stkzoo.drivers.instances import Decision
 from stkzoo.drivers.messages import (
-    Action,
     Decided,
     Reply,
     decode,
@@ -35,7 +35,7 @@ from stkzoo.drivers.messages import (
 from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.errors import AssetError, ConfigError, ProtocolError, StkzooError
-from stkzoo.race.remote.protocol import Act, Acted, ClientMessage, ServerMessage
+from stkzoo.race.remote.protocol import Act, ClientMessage, ServerMessage
 from tests.support.file_kinds import KINDS
 
 __all__ = ["TARGETS", "Target"]
@@ -94,11 +94,10 @@ def _message_seeds() -> list[bytes]:
 
     space = kart_action_space()
     space.seed(1)
-    decided = Decided(Action.of(space.sample()), is_clipped=False)
+    decided = Decided.of(Decision(space.sample(), 0.0))
     rows = (np.zeros(3, np.float32),) * 3
     return [
         encode(decided),
-        encode(Acted(decided, is_usable=True)),
         encode(Act(encode_observation({"rows": rows}))),
         encode_observation({"rows": rows, "array": np.zeros(2), "text": "a", "number": 1}),
     ]

@@ -55,7 +55,7 @@ class Connection:
         self._zmq, self._address = zmq_module(), server.address
         self._socket, self._monitor = client_socket(context, server.address, keys, server.key)
         self._failure: RemoteError | None = None
-        self._expected: deque[type[Message]] = deque()
+        self._expected: deque[tuple[type[Message], ...]] = deque()
         self._replies: deque[Any] = deque()
         self._pending = pending.receivers
         self._sent = self._arrived = time.monotonic()
@@ -67,12 +67,12 @@ class Connection:
         """Time from the last request to the last reply [s]."""
         return max(self._arrived - self._sent, 0.0)
 
-    def request(self, message: Message, expected: type[Message]) -> None:
+    def request(self, message: Message, *expected: type[Message]) -> None:
         """Sends a request and starts to wait for its reply.
 
         Args:
             message: the request.
-            expected: type of the reply.
+            *expected: types of the reply.
         """
         self.receive_available()  # a reply that is already there is an error
         self._sent = time.monotonic()

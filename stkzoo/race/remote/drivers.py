@@ -19,11 +19,11 @@ from stkzoo._schema import Count, plain_name
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest
-from stkzoo.drivers.messages import MAX_NAME, Failed, encode_observation
+from stkzoo.drivers.messages import MAX_NAME, Decided, Failed, Ready, encode_observation
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.race.remote.connection import Connection, Server, ServerTimeout
-from stkzoo.race.remote.protocol import Act, Acted, Open, Opened, Welcome
+from stkzoo.race.remote.protocol import Act, Open, Welcome
 from stkzoo.race.remote.sockets import (
     KeyPair,
     full_address,
@@ -207,7 +207,7 @@ class RemoteAgent:
             action_timeout=limit,
             start_timeout=self._start_timeout,
         )
-        self._connection.request(opening, Opened)
+        self._connection.request(opening, Ready, Failed)
 
     def ready(self) -> str:
         """Waits until the agent is ready and returns the name that it declares."""
@@ -218,28 +218,29 @@ class RemoteAgent:
             if self._served not in ServedAgent.all_of(server, welcome):
                 raise ProtocolError(f"the agents of {server.address} have changed")
             deadline = self._begin + self._start_timeout + _MARGIN
-            opened: Opened = self._connection.reply(deadline, "start an agent")
-        outcome = opened.outcome
-        if isinstance(outcome, Failed):
+            reply: Ready | Failed = self._connection.reply(deadline, "start an agent")
+        if isinstance(reply, Failed):
             self.is_usable = False
-            raise outcome.error(self._agent, server=server.address)
-        self._paths = outcome.paths_used
-        return outcome.name
+            raise reply.error(self._agent, server=server.address)
+        self._paths = reply.paths_used
+        return reply.name
 
     def ask(self, observation: Any) -> None:
         """Sends the observation."""
         self._begin = time.monotonic()
-        self._connection.request(Act(encode_observation(observation, self._paths)), Acted)
+        message = Act(encode_observation(observation, self._paths))
+        self._connection.request(message, Decided, Failed)
 
     def answer(self) -> Decision:
         """Waits for the decision."""
         with self._failures():
-            acted: Acted = self._connection.reply(self._begin + self._timeout, "answer")
-        outcome, seconds = acted.outcome, self._connection.seconds
-        if isinstance(outcome, Failed):
-            self.is_usable = acted.is_usable
-            raise outcome.error(self._agent, seconds, self._served.server.address)
-        return outcome.decision(seconds)
+            deadline = self._begin + self._timeout
+            reply: Decided | Failed = self._connection.reply(deadline, "answer")
+        seconds = self._connection.seconds
+        if isinstance(reply, Failed):
+            self.is_usable = reply.is_usable
+            raise reply.error(self._agent, seconds, self._served.server.address)
+        return reply.decision(seconds)
 
     def close(self) -> None:
         """Stops the agent on the server."""

@@ -26,7 +26,7 @@ from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import EXTRAS
 
 #: Version of the protocol; both ends must have the same one.
-VERSION = 5
+VERSION = 6
 
 #: Maximum number of agents of one client on one server.
 MAX_AGENTS = 32
@@ -91,31 +91,13 @@ class Welcome(Message):
     agents: Annotated[list[Offer], Meta(min_length=1, max_length=_MAX_OFFERS)]
 
 
-class Opened(Message):
-    """The reply to an open: the agent is ready, or has failed to start."""
-
-    outcome: Ready | Failed
-
-
-class Acted(Message):
-    """The reply to an act.
-
-    Attributes:
-        outcome: the decision, or why there is none.
-        is_usable: whether the agent accepts further observations.
-    """
-
-    outcome: Decided | Failed
-    is_usable: bool
-
-
 class Refused(Message):
     """Instead of any reply: the connection ends."""
 
     reason: LongText
 
 
-ServerMessage: TypeAlias = Welcome | Opened | Acted | Refused
+ServerMessage: TypeAlias = Welcome | Ready | Decided | Failed | Refused
 
 _from_client: Decoder[ClientMessage] = Decoder(ClientMessage)
 _from_server: Decoder[ServerMessage] = Decoder(ServerMessage)

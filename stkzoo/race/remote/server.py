@@ -24,6 +24,7 @@ from stkzoo.drivers.messages import (
     Failed,
     Message,
     Ready,
+    Reply,
     decode_observation,
     encode,
     start_reply,
@@ -320,13 +321,14 @@ class AgentSession(threading.Thread):
                     self._agent.close()
 
     def _serve(self) -> None:
-        outcome = self._start()
-        self._reply(protocol.Opened(outcome))
-        is_usable = not isinstance(outcome, Failed)
-        while is_usable and (observation := self._inbox.get()) is not None:
-            acted = self._act(observation)
-            self._reply(acted)
-            is_usable = acted.is_usable
+        reply: Reply = self._start()
+        self._reply(reply)
+        while not isinstance(reply, Failed) or reply.is_usable:
+            observation = self._inbox.get()
+            if observation is None:
+                return
+            reply = self._act(observation)
+            self._reply(reply)
 
     def _start(self) -> Ready | Failed:
         assert self._driver.start is not None  # noqa: S101 - the server refuses the game's AI
@@ -337,15 +339,15 @@ class AgentSession(threading.Thread):
         with self._turn():
             return start_reply(self._agent)
 
-    def _act(self, observation: bytes) -> protocol.Acted:
+    def _act(self, observation: bytes) -> Decided | Failed:
         agent = self._agent
         assert agent is not None  # noqa: S101 - it is ready
         try:
             with self._turn():
                 agent.ask(observation if self._is_isolated else decode_observation(observation))
-                return protocol.Acted(Decided.of(agent.answer()), is_usable=True)
+                return Decided.of(agent.answer())
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
-            return protocol.Acted(Failed.of(error), bool(agent.is_usable))
+            return Failed.of(error, is_usable=bool(agent.is_usable))
 
     @property
     def _is_isolated(self) -> bool:

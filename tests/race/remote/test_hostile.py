@@ -16,11 +16,9 @@ from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.race.remote.protocol import (
     VERSION,
     Act,
-    Acted,
     Bye,
     Hello,
     Open,
-    Opened,
     Refused,
     Welcome,
     read_reply,
@@ -175,45 +173,35 @@ def test_a_client_cannot_access_the_agents_of_another_client():
     assert not any(row.errors for row in result.agents)
 
 
-STILL = {
-    **dict.fromkeys(("acceleration", "steer"), 0.0),
-    **dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0),
-}
-DECIDED = {"type": "decided", "action": STILL, "is_clipped": False}
-
-
-def answer(outcome=DECIDED):
-    return pack(type="acted", outcome=outcome, is_usable=True)
+def decided(steer=0.0):
+    return pack(type="decided", action=[0, steer, *[0] * 5], is_clipped=False)
 
 
 def lies(*data):
     """Returns a function that provides an agent, then replies with messages."""
 
     def lie(message):
-        opened = [encode(Opened(Ready("liar", None)))]
-        return opened if isinstance(message, Open) else data or [answer()]
+        ready = [encode(Ready("liar", None))]
+        return ready if isinstance(message, Open) else data or [decided()]
 
     return lie
 
 
 def failed(text):
-    return {"type": "failed", "kind": "error", "text": text, "trace": ""}
+    return pack(type="failed", kind="error", text=text, trace="", is_usable=True)
 
 
 LIES = {
     "garbage": (lies(b"\xc1\xc1"), "sent an invalid message"),
-    "twice": (lies(answer(), answer()), "a message 'acted' that was not requested"),
-    "another reply": (lies(encode(Opened(Ready("liar", None)))), "a message 'opened' that was not"),
-    "an action out of bounds": (
-        lies(answer({**DECIDED, "action": {**STILL, "steer": 7.0}})),
-        "Expected `float` <= 1.0",
-    ),
+    "twice": (lies(decided(), decided()), "a message 'decided' that was not requested"),
+    "another reply": (lies(encode(Ready("liar", None))), "a message 'ready' that was not"),
+    "an action out of bounds": (lies(decided(steer=7.0)), "Expected `float` <= 1.0"),
     "silence": (lambda message: lies()(message) if isinstance(message, Open) else [], "in time"),
     "a bomb": (lies(b"\x81\xa4type" + b"\x91" * 1_000_000), "not a valid message"),
-    "a long error": (lies(answer(failed("y" * 1_000_000))), "length <= 8000"),
-    "an error of its agent": (lies(answer(failed("no fuel"))), ": no fuel"),
+    "a long error": (lies(failed("y" * 1_000_000)), "length <= 8000"),
+    "an error of its agent": (lies(failed("no fuel")), ": no fuel"),
     "too many paths": (
-        lambda _: [pack(type="opened", outcome={"type": "ready", "name": "", "paths_used": 2**61})],
+        lambda _: [pack(type="ready", name="", paths_used=2**61)],
         "Expected `int` <= 8192",
     ),
     "it sends the game's keys": (lies(encode(Refused("\x1b[2J" + "a" * 7000))), ": aaaa"),
@@ -240,7 +228,7 @@ def test_a_lying_server_affects_only_its_own_kart(name):
 
 FLOODS = {
     "welcomes": Welcome(VERSION, "", [AgentOffer("liar", "lies", [])]),
-    "answers": Acted(Failed("error", "no", ""), is_usable=True),
+    "answers": Failed("error", "no", "", is_usable=True),
 }
 
 
@@ -275,8 +263,8 @@ def get_actor(module_dir, observation_space, action_space):
     ("when", "lie", "text"),
     [
         ("Ready", 'Ready("", -1)', "Expected `int` >= 0"),
-        ("Decided", 'Failed("error", "x" * (5 << 16), "")', "expected at most 65536"),
-        ("Decided", 'Failed("error", "x" * 9000, "")', "length <= 8000"),
+        ("Decided", 'Failed("error", "x" * (5 << 16), "", True)', "expected at most 65536"),
+        ("Decided", 'Failed("error", "x" * 9000, "", True)', "length <= 8000"),
     ],
     ids=["segments", "a large reply", "a long text"],
 )
@@ -307,7 +295,7 @@ def test_a_server_cannot_hide_the_time_of_its_agents():
 def test_a_reply_that_a_server_sends_before_the_observation_is_refused():
     """Otherwise the server's time for it would be 0."""
 
-    with LyingServer(lies(answer(), answer())) as server:
+    with LyingServer(lies(decided(), decided())) as server:
         group = RemoteDriverGroup([server.address])
         connect, connections = group.connect, []
         group.connect = lambda server: connections.append(connect(server)) or connections[-1]

@@ -8,11 +8,12 @@ import time
 
 import pytest
 
+from stkzoo.drivers.messages import Ready
 from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import RaceListener, find_driver, run_race
 from stkzoo.race.remote import RaceServer, RemoteDriverGroup, sockets
 from stkzoo.race.remote import server as server_module
-from stkzoo.race.remote.protocol import Opened, Refused, read_reply
+from stkzoo.race.remote.protocol import Refused, read_reply
 from tests.support.remote_race import (
     open_request,
     raw_client,
@@ -245,7 +246,7 @@ def test_a_silent_client_loses_its_place(monkeypatch):
         raw_client(server.address) as client,
     ):
         client.send(open_request())
-        assert isinstance(read_reply(client.recv_multipart()), Opened)
+        assert isinstance(read_reply(client.recv_multipart()), Ready)
         refused = read_reply(client.recv_multipart())
         assert refused == Refused("no message from the client for 0.2 s")
         with RemoteDriverGroup([server.address]) as group:
