@@ -84,7 +84,7 @@ def _read_observation(data: bytes) -> None:
 
 
 def _message_memory(length: int) -> int:
-    return 16 * length + (1 << 20)
+    return 16 * length + (64 << 20)
 
 
 def _message_seeds() -> list[bytes]:

@@ -58,8 +58,8 @@ class RaceServer(AbstractContextManager["RaceServer"]):
 
     Args:
         drivers: drivers that clients can use; the game's AI is not allowed.
-        address: address to listen on such as ``127.0.0.1:5555``, ``*:5555`` or ``ipc:///path``; the
-            port may be ``*`` for any free one.
+        address: address to listen on such as ``127.0.0.1:5555`` or ``*:5555``; the port may be
+            ``*`` for any free one.
         limits: resource limits of each agent; a client may request shorter time limits.
         max_sessions: maximum number of clients whose agents run; the server refuses further ones.
         keys: keys of the server and of its clients; ``None`` for no keys.

@@ -51,15 +51,13 @@ def full_address(text: str) -> str:
     """Converts an address to ZeroMQ's format.
 
     Args:
-        text: ``tcp://host:port``, ``host:port``, ``host`` or ``ipc:///path``. The default port is
-            5555. A server's host may be ``*`` for all network interfaces, and its port may be ``*``
-            for any free port.
+        text: ``tcp://host:port``, ``host:port`` or ``host``. The default port is 5555. A server's
+            host may be ``*`` for all network interfaces, and its port may be ``*`` for any free
+            port.
 
     Raises:
         ConfigError: the text has none of these forms.
     """
-    if text.startswith("ipc://") and len(text) > len("ipc://"):
-        return text
     match = _TCP.fullmatch(text.removeprefix("tcp://"))
     port = (match and match["port"]) or _DEFAULT_PORT
     if match is None or not (port == "*" or 0 < int(port) < 65536):
@@ -71,7 +69,7 @@ def full_address(text: str) -> str:
 def is_local(address: str) -> bool:
     """Returns whether only programs on the same machine can reach an address."""
     host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
-    return address.startswith("ipc://") or is_loopback(host)
+    return is_loopback(host)
 
 
 #: Options of all sockets; times in ms, lengths of a connection's queues in messages. A connection
@@ -253,7 +251,7 @@ class Connections:
         address = self._router.getsockopt_string(self._zmq.LAST_ENDPOINT)
         with suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as connection:
             name = connection.getsockname()
-            if address.endswith(f":{name[1]}" if isinstance(name, tuple) else f"//{name}"):
+            if isinstance(name, tuple) and address.endswith(f":{name[1]}"):
                 connection.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
