@@ -8,7 +8,7 @@ import struct
 import sys
 import tracemalloc
 import zipfile
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -236,22 +236,26 @@ def written(path, *members):
 
 @pytest.mark.parametrize(
     "name",
-    ["../out.py", "a/../../out.py", "/tmp/out.py", "..\\out.py", "C:/out.py"],
+    ["../out.py", "a/../../out.py", "/tmp/out.py", "..\\out.py", "."],
 )
 def test_a_path_outside_the_zips_folder_is_refused(name, tmp_path):
-    with pytest.raises(ConfigError, match="leads out of it"):
+    with pytest.raises(ConfigError, match=r"leads out of it|has backslashes"):
         find_driver(written(tmp_path / "a.zip", (name, stat.S_IFREG | 0o644, "x")))
 
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR])
-def test_a_link_or_device_in_a_zip_is_refused(kind, tmp_path):
-    with pytest.raises(ConfigError, match="is a link or a device"):
-        find_driver(written(tmp_path / "a.zip", ("weights", kind | 0o777, "/etc/passwd")))
+def test_a_link_or_device_in_a_zip_becomes_a_plain_file(kind, tmp_path):
+    path = written(tmp_path / "a.zip", ("weights", kind | 0o777, "/etc/passwd"))
+    files.unpack(Path(path), tmp_path / "out")
+    weights = tmp_path / "out" / "weights"
+    assert stat.S_ISREG(weights.lstat().st_mode)
+    assert weights.read_text() == "/etc/passwd"
 
 
-def test_a_zip_bomb_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="would grow to"):
-        find_driver(written(tmp_path / "a.zip", ("big", stat.S_IFREG, bytes(50 << 20))))
+def test_a_zip_bomb_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "MAX_BYTES", 1 << 20)
+    with pytest.raises(ConfigError, match="unpacked it is larger than 1,048,576 bytes"):
+        find_driver(written(tmp_path / "a.zip", ("big", stat.S_IFREG, bytes(2 << 20))))
 
 
 def test_a_zip_of_too_many_files_is_refused(tmp_path, monkeypatch):
@@ -315,6 +319,16 @@ def test_two_files_with_the_same_name_are_refused(tmp_path):
         files.unpack(Path(path), tmp_path / "out")
 
 
+@pytest.mark.parametrize(
+    "names", [["a", "a/b"], ["a/b", "a"], ["a/b", "a//b"], ["C:/a", "./a"]], ids=str
+)
+def test_a_zip_with_strange_names_is_refused_or_stays_in_its_folder(names, tmp_path):
+    path = written(tmp_path / "a.zip", *((name, stat.S_IFREG, "x") for name in names))
+    with suppress(ConfigError):
+        files.unpack(Path(path), tmp_path / "out")
+    assert {entry.name for entry in tmp_path.iterdir()} == {"a.zip", "out"}
+
+
 def test_unpacked_files_have_no_special_mode(tmp_path):
     path = written(tmp_path / "a.zip", ("run", stat.S_IFREG | 0o6777, "x"))
     files.unpack(Path(path), tmp_path / "out")
@@ -334,9 +348,6 @@ def names_of_folders(count, depth):
         (["a/" * 2040 + "x"], "is in too many folders or has a long name"),
         (["a" * 300], "is in too many folders or has a long name"),
         (["\N{SNOWMAN}" * 90], "is in too many folders or has a long name"),
-        (["a/b", "a//b"], "two of its files have the same path"),
-        (["a/b", "./a/b"], "two of its files have the same path"),
-        (["a", "a/b"], "two of its files have the same path"),
     ],
     ids=lambda value: value if isinstance(value, str) else value[0][:12],
 )
