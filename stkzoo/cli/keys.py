@@ -53,8 +53,8 @@ def _new(arguments: NewKeyArguments) -> None:
 
 def _show(arguments: ShowKeyArguments) -> None:
     """Show the public key of a key file."""
-    for key, name in read_publics([arguments.file]).items():
-        print(f"public {key} {name}".rstrip())
+    for key in sorted(read_publics([arguments.file])):
+        print(f"public {key}")
 
 
 ACTIONS = (_new, _show)

@@ -21,7 +21,6 @@ from stkzoo._imports import import_extra
 from stkzoo._logs import RepeatFilter
 from stkzoo._os import is_loopback, max_descriptors, write_whole
 from stkzoo._reading import is_there, read_text, reading
-from stkzoo._schema import plain_name, plain_text
 from stkzoo.drivers.messages import MAX_BYTES
 from stkzoo.errors import ConfigError, RemoteError
 
@@ -384,40 +383,34 @@ def read_public(source: str | Path) -> str:
     return next(iter(keys))
 
 
-def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
+def read_publics(sources: Iterable[str | Path]) -> set[str]:
     """Reads public keys.
 
     Args:
         sources: paths of ``.public`` files, of folders of such files, or of concatenated files; or
             the keys themselves.
 
-    Returns:
-        A mapping from keys to their names, which may be empty.
-
     Raises:
         ConfigError: a source cannot be read or contains no public key.
     """
-    keys: dict[str, str] = {}
+    keys: set[str] = set()
     for source in sources:
         path = Path(source).expanduser()
-        if path.is_dir():
-            files = sorted(path.glob("*.public"))
-        elif not is_there(path) and _KEY.fullmatch(str(source)):
-            keys[str(source)] = ""
-            continue
+        if not is_there(path) and _KEY.fullmatch(str(source)):
+            found = {str(source)}
         else:
-            files = [path]
-        lines = (line for file in files for line in _lines_of(file) if line[0] == "public")
-        named = {key: plain_name(" ".join(name)) for _, key, *name in lines}
-        if not named:
+            files = path.glob("*.public") if path.is_dir() else [path]
+            lines = (line for file in files for line in _lines_of(file))
+            found = {line[1] for line in lines if line[0] == "public"}
+        if not found:
             raise ConfigError(f"no public key in {source}; make one with: stkzoo keys new NAME")
-        keys |= named
+        keys |= found
     return keys
 
 
 def _lines_of(path: Path) -> list[list[str]]:
     with reading(f"the key {path} cannot be read", "a file from `stkzoo keys new NAME`"):
-        text = plain_text(read_text(path, _MAX_BYTES))
+        text = read_text(path, _MAX_BYTES)
     lines = [line.split() for line in text.splitlines() if line and not line.startswith("# ")]
     for words in lines:
         if len(words) < 2 or words[0] not in ("public", "secret") or not _KEY.fullmatch(words[1]):

@@ -27,7 +27,7 @@ from tests.support.remote_race import raw_client, server_thread
 def closed_server():
     """Runs a server that accepts one client; yields its address, its public key and the client."""
     own, client = new_keys(), new_keys()
-    keys = ServerKeys(own, {client.public: "ada"})
+    keys = ServerKeys(own, {client.public})
     with server_thread([find_driver("heuristic")], keys=keys) as server:
         yield server.address, own.public, client
 
@@ -84,7 +84,7 @@ def test_listening_to_other_machines_requires_keys(address, keys):
 
 
 def test_with_keys_or_insecure_a_server_listens_to_other_machines():
-    keys = ServerKeys(new_keys(), {new_keys().public: ""})
+    keys = ServerKeys(new_keys(), {new_keys().public})
     for options in ({"keys": keys}, {"insecure": True}):
         with RaceServer([find_driver("heuristic")], "*:*", **options) as server:
             assert server.address.startswith("tcp://0.0.0.0:")
@@ -109,7 +109,7 @@ def test_public_keys_can_be_read_from_a_folder_or_a_file(tmp_path):
     publics = [new_key_files(name, tmp_path)[1] for name in ("ada", "bob")]
     together = tmp_path / "all.txt"
     together.write_text("# my students\n\n" + "".join(file.read_text() for file in publics))
-    assert sorted(read_publics([tmp_path]).values()) == ["ada", "bob"]
+    assert read_publics([tmp_path]) == {read_public(file) for file in publics}
     assert read_publics([together]) == read_publics([tmp_path]) == read_publics(publics)
 
 
@@ -134,10 +134,3 @@ def test_the_command_makes_and_shows_keys(tmp_path, capsys):
     assert read_public(tmp_path / "ada.public") in capsys.readouterr().out
     assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 2
     assert main(["keys", "show", str(tmp_path / "none")]) == 2
-
-
-def test_the_name_of_a_key_cannot_control_the_terminal(tmp_path, capsys):
-    file = tmp_path / "bob.public"
-    file.write_text(f"public {'a' * 40} \x1b]0;gone\x07bob\n")
-    assert main(["keys", "show", str(file)]) == 0
-    assert capsys.readouterr().out == f"public {'a' * 40} ?]0;gone?bob\n"
