@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from stkzoo.env.gymnasium_api import STKRaceEnv, STKRaceMultiEnv
     from stkzoo.env.parallel import RaceParallelEnv
     from stkzoo.env.scenario import Scenario
-    from stkzoo.env.starts import StartCurriculum
     from stkzoo.env.state import RaceState
     from stkzoo.env.vec.env import RaceVectorEnv
     from stkzoo.env.vector import make_stkrace_vec
@@ -68,7 +67,6 @@ __all__ = [
     "STKRaceMultiEnv",
     "Scenario",
     "Start",
-    "StartCurriculum",
     "make_stkrace_vec",
     "register_view",
     "unregister_view",
@@ -83,7 +81,6 @@ _HOMES = {
     "stkzoo.env.gymnasium_api": ("STKRaceEnv", "STKRaceMultiEnv"),
     "stkzoo.env.parallel": ("RaceParallelEnv",),
     "stkzoo.env.scenario": ("Scenario",),
-    "stkzoo.env.starts": ("StartCurriculum",),
     "stkzoo.env.state": ("RaceState",),
     "stkzoo.env.vec.env": ("RaceVectorEnv",),
     "stkzoo.env.vector": ("make_stkrace_vec",),

@@ -1,15 +1,13 @@
-"""Start positions other than the grid, and a curriculum of start positions."""
+"""Start positions other than the grid."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from stkzoo._checks import check_whole
 from stkzoo.agent_names import by_agent
 from stkzoo.config import RandomStart, Start, start_of
 from stkzoo.errors import ConfigError
@@ -127,61 +125,3 @@ def _in_row(first: Start, place: int, num_kart: int) -> Start:
     return replace(
         first, offset=first.offset + side, behind=first.behind + place // 2 * _ROW_LENGTH
     )
-
-
-class StartCurriculum:
-    """Random starts that move from the end of the lap to its beginning as the agent succeeds.
-
-    >>> curriculum = StartCurriculum(stages=4, window=2)
-    >>> curriculum.start().share
-    (0.75, 1.0)
-    >>> curriculum.report(True), curriculum.report(True)
-    (False, True)
-    >>> curriculum.start().share
-    (0.5, 1.0)
-
-    Args:
-        stages: number of stages; the last one covers the whole lap.
-        window: number of recent episodes that count.
-        promote_at: success rate over the window that advances the curriculum, in (0, 1].
-        start: offset, heading and speed of the starts, as a :class:`~stkzoo.config.RandomStart` or
-            a mapping of its fields.
-
-    Raises:
-        ConfigError: a number is invalid.
-    """
-
-    def __init__(
-        self,
-        stages: int = 10,
-        *,
-        window: int = 20,
-        promote_at: float = 0.8,
-        start: RandomStart | Mapping[str, object] | None = None,
-    ) -> None:
-        for name, value in (("stages", stages), ("window", window)):
-            check_whole(name, value, 1)
-        if not 0 < promote_at <= 1:
-            raise ConfigError(f"promote_at is {promote_at!r}, expected a share above 0, at most 1")
-        self.stages, self.stage = stages, 1
-        self._promote_at = promote_at
-        self._latest: deque[bool] = deque(maxlen=window)
-        base = RandomStart() if start is None else _read(start)
-        if not isinstance(base, RandomStart):
-            raise ConfigError(f"start is {start!r}, expected a RandomStart or its fields")
-        self._start = base
-
-    def start(self) -> RandomStart:
-        """Returns the starts of the current stage, for ``reset(options={"start": ...})``."""
-        return replace(self._start, share=(1.0 - self.stage / self.stages, 1.0))
-
-    def report(self, success: bool) -> bool:
-        """Records the outcome of an episode; returns whether the curriculum advances."""
-        self._latest.append(bool(success))
-        is_full = len(self._latest) == self._latest.maxlen
-        if not is_full or sum(self._latest) / len(self._latest) < self._promote_at:
-            return False
-        self._latest.clear()
-        has_more = self.stage < self.stages
-        self.stage = min(self.stage + 1, self.stages)
-        return has_more

@@ -13,7 +13,6 @@ from stkzoo import (
     RandomStart,
     Scenario,
     Start,
-    StartCurriculum,
     race_v0,
 )
 from stkzoo.engine.starting import CenterLine
@@ -229,24 +228,6 @@ def test_random_starts_stay_within_their_bounds():
     assert all(0.2 <= start.share <= 0.4 and 5.0 <= start.speed <= 6.0 for start in drawn)
     assert len({start.share for start in drawn}) == 200
     assert {start.heading for start in drawn} == {0.0}
-
-
-def test_a_curriculum_moves_back_with_success():
-    curriculum = StartCurriculum(stages=2, window=2, promote_at=0.5)
-    assert curriculum.start().share == (0.5, 1.0)
-    assert [curriculum.report(success) for success in (False, False, True)] == [False, False, True]
-    assert curriculum.start().share == (0.0, 1.0)
-    assert [curriculum.report(True) for _ in range(4)] == [False] * 4
-    for invalid in ({"stages": 0}, {"promote_at": 2}, {"start": {"share": 0.5}}):
-        with pytest.raises(
-            ConfigError, match=r"stages is 0|promote_at is 2|expected a RandomStart"
-        ):
-            StartCurriculum(**invalid)
-
-
-def test_a_curriculum_advances_at_exactly_its_success_rate():
-    curriculum = StartCurriculum(window=100, promote_at=0.55)
-    assert [curriculum.report(n < 55) for n in range(100)] == [False] * 99 + [True]
 
 
 # ------------------------------------------------------------------ scenarios
