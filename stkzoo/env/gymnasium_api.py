@@ -12,7 +12,6 @@ from typing import Any, ClassVar, TypeAlias
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 
 from stkzoo._checks import check_whole, unknown_argument
@@ -23,7 +22,7 @@ from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.front import RaceFront, RaceOption
-from stkzoo.env.ids import RaceSpec, follow_max_cycles
+from stkzoo.env.ids import warn_of_time_limit
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.options import use_known_karts
 from stkzoo.env.parallel import RaceParallelEnv
@@ -85,13 +84,11 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
     max_paths = RaceOption("max_paths")
     step_size = RaceOption("step_size")
     track = RaceFront.track_map
-    _spec: RaceSpec | None = None
 
     def __init__(
         self, agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, **options: Any
     ) -> None:
         # The TimeLimit of the registered ids truncates long races.
-        self._has_max_cycles = "max_cycles" in options
         options.setdefault("max_cycles", None)
         options["reward"] = RewardOver("reference", options.get("reward"))
         if isinstance(agents, Sequence) and not isinstance(agents, str):
@@ -130,15 +127,6 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
         if use_subprocess and not with_graphics and can_fork():
             start_fork_server(assets.root)
         return list(assets.tracks)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """The arguments of ``gym.make``; its ``max_episode_steps`` follows ``max_cycles``."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = None if spec is None else RaceSpec.of(spec)
 
     @property
     def _np_random(self) -> np.random.Generator:  # type: ignore[override]
@@ -183,10 +171,11 @@ class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
 
     def _reset_core(self, seed: int | None, options: Mapping[str, Any] | None) -> Started:
         use_known_karts(self.core.specs, self.live_race.assets.karts)
-        result = self.core.reset(seed, options)
-        has_max_cycles = self._has_max_cycles or self.max_cycles is not None
-        follow_max_cycles(self, has_max_cycles, options or {})
-        return result
+        registered = gym.registry.get(self.spec.id) if self.spec else None
+        if registered is not None:
+            max_cycles = self.options.changed(options or {}).max_cycles
+            warn_of_time_limit(max_cycles, registered.max_episode_steps)
+        return self.core.reset(seed, options)
 
     @property
     def config(self) -> RaceSetup | None:

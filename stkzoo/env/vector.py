@@ -14,7 +14,7 @@ from stkzoo._checks import check_type, check_whole, unknown_argument
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.gymnasium_api import split_keywords
-from stkzoo.env.ids import MAX_EPISODE_STEPS
+from stkzoo.env.ids import MAX_EPISODE_STEPS, warn_of_time_limit
 from stkzoo.env.options import use_known_karts
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.slots import is_of_fixed_size
@@ -38,8 +38,8 @@ def single_kart_races(
         num_envs: number of races.
         view: the id's view; its spaces must have a fixed size.
         agent: options of the agent in every race.
-        max_episode_steps: number of steps after which an episode is truncated, as in ``gym.make``:
-            ``max_cycles`` replaces the limit of the id, and -1 disables it.
+        max_episode_steps: number of steps after which an episode is truncated, as in ``gym.make``;
+            -1 for no limit. A smaller ``max_cycles`` holds.
         **options: keyword arguments of the id, options of its view, and ``prefetch``.
 
     Raises:
@@ -48,11 +48,12 @@ def single_kart_races(
     view, race = split_keywords(view, options, ("agent", "prefetch"))
     race["reward"] = RewardOver("reference", race.get("reward"))
     limit = MAX_EPISODE_STEPS if max_episode_steps is None else max_episode_steps
-    max_cycles = race.setdefault("max_cycles", None if limit == -1 else limit)
-    if limit not in (-1, MAX_EPISODE_STEPS):
+    max_cycles = race.setdefault("max_cycles", None)
+    if limit != -1:
         limit = check_whole("max_episode_steps", limit, 1)
-        is_shorter = max_cycles is None or limit < check_whole("max_cycles", max_cycles, 1)
-        race["max_cycles"] = limit if is_shorter else max_cycles
+        max_cycles = limit if max_cycles is None else check_whole("max_cycles", max_cycles, 1)
+        warn_of_time_limit(max_cycles, limit)
+        race["max_cycles"] = min(limit, max_cycles)
     spec = AgentSpec() if agent is None else AgentSpec.of(agent)
     use_known_karts([spec], find_assets().karts)
     return RaceVectorEnv(num_envs, view=view, agents=[spec], **race)

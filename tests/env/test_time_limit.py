@@ -1,4 +1,4 @@
-"""The time limit of Gymnasium ids: ``max_cycles`` replaces it, ``max_episode_steps`` sets it."""
+"""The time limit of Gymnasium ids and ``max_cycles``: the smaller one holds."""
 
 import pickle
 from functools import partial
@@ -21,72 +21,42 @@ def env_id(request, monkeypatch):
     return request.param
 
 
-def length(env, **reset):
+def length(env, **options):
     """Returns the number of steps until the truncation; ``None`` if there is none."""
-    env.reset(seed=1, **reset)
+    env.reset(seed=1, options=options)
     for number in range(1, LATER + 1):
         if env.step(env.action_space.sample())[3]:
             return number
     return None
 
 
-def of_reset(max_cycles):
-    return {"options": {"max_cycles": max_cycles}}
-
-
-def test_max_cycles_of_reset_replaces_the_limit_for_one_episode(env_id):
+def test_the_smaller_limit_holds(env_id):
     with gym.make(env_id, **RACE) as env:
-        assert env.spec.max_episode_steps == length(env) == LIMIT
-        assert [length(env, **of_reset(limit)) for limit in (10, None, 5)] == [10, None, 5]
-        assert length(env) == LIMIT
-        specs = env.spec, pickle.loads(pickle.dumps(env.spec))
-        copies = [pickle.loads(pickle.dumps(env)), *(gym.make(spec) for spec in specs)]
-    for copy in copies:
-        with copy:
-            assert (length(copy, **of_reset(10)), length(copy)) == (10, LIMIT)
+        assert env.spec.max_episode_steps == LIMIT
+        lengths = [length(env, **own) for own in ({}, {"max_cycles": 5}, {"max_cycles": None})]
+        assert lengths == [LIMIT, 5, LIMIT]
+        with pytest.warns(UserWarning, match="after 8 steps unless you pass max_episode_steps=10"):
+            assert length(env, max_cycles=10) == LIMIT
+        again = pickle.loads(pickle.dumps(env))
+    with again, gym.make(again.spec, max_cycles=5) as short:
+        assert [length(again), length(short)] == [LIMIT, 5]
 
 
-@pytest.mark.parametrize(
-    ("limits", "expected"),
-    [
-        ({"max_cycles": 10}, 10),
-        ({"max_cycles": None}, None),
-        ({"max_cycles": 5}, 5),
-        ({"max_episode_steps": 10}, 10),
-        ({"max_episode_steps": -1}, None),
-        ({"max_episode_steps": 5, "max_cycles": 10}, 5),
-    ],
-    ids=str,
-)
-def test_limits_of_gym_make_hold_and_are_in_the_spec(env_id, limits, expected):
-    with gym.make(env_id, **RACE, **limits) as env:
-        assert env.spec.max_episode_steps == expected
-        assert [length(env), length(env, **of_reset(11)), length(env)] == [expected, 11, expected]
-        copy = gym.make(env.spec)
-        with gym.make(env.spec) as late:
-            late.reset(**of_reset(11))
-            assert late.spec.max_episode_steps == expected
-    with copy:
-        assert (copy.spec.max_episode_steps, length(copy)) == (expected, expected)
-
-
-def test_an_assigned_limit_holds_and_a_limit_around_a_bare_environment_stays(env_id):
-    with gym.make(env_id, **RACE) as env:
-        env.unwrapped.max_cycles = 10
-        assert length(env) == 10
-        with gym.wrappers.TimeLimit(pickle.loads(pickle.dumps(env.unwrapped)), 4) as bare:
-            bare.unwrapped.spec = None
-            assert length(bare, **of_reset(10)) == 4
+def test_max_episode_steps_of_gym_make_replaces_the_limit_of_the_id(env_id):
+    with gym.make(env_id, max_episode_steps=10, **RACE) as env, gym.make(env.spec) as again:
+        assert [length(env), length(again)] == [10, 10]
+    with gym.make(env_id, max_episode_steps=-1, **RACE) as env:
+        assert [length(env), length(env, max_cycles=5)] == [None, 5]
 
 
 @pytest.mark.parametrize(
     ("limits", "expected"),
     [
         ({}, 1500),
-        ({"max_cycles": 2000}, 2000),
-        ({"max_cycles": None}, None),
+        ({"max_cycles": 90}, 90),
+        ({"max_cycles": None}, 1500),
         ({"max_episode_steps": 2000}, 2000),
-        ({"max_episode_steps": 90, "max_cycles": 2000}, 90),
+        ({"max_episode_steps": 2000, "max_cycles": 1800}, 1800),
         ({"max_episode_steps": -1}, None),
     ],
     ids=str,
@@ -98,10 +68,11 @@ def test_make_vec_has_the_same_limits(limits, expected):
     envs.close()
     with pytest.raises(ConfigError, match=r"max_episode_steps is 0, expected a whole number"):
         make(max_episode_steps=0)
+    with pytest.warns(UserWarning, match="max_cycles is 2000, but gym.make truncates"):
+        make(**RACE, max_cycles=2000).close()
 
 
-def test_max_cycles_of_reset_reaches_every_race_of_a_vector(monkeypatch):
-    monkeypatch.setattr(gym.spec(IDS[0]), "max_episode_steps", LIMIT)
+def test_max_cycles_of_reset_reaches_every_race_of_a_vector():
     for mode in ("sync", "vector_entry_point"):
         envs = gym.make_vec(IDS[0], num_envs=2, vectorization_mode=mode, **RACE)
         envs.reset(seed=1, options={"max_cycles": 10})
