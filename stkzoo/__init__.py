@@ -20,7 +20,7 @@ import stkzoo.kernel  # noqa: F401 - first, so that a missing extension is the o
 from stkzoo import errors, names
 from stkzoo._imports import lazy_names
 from stkzoo.config import AgentSpec, RandomStart, Start
-from stkzoo.env.ids import register_ids, register_view, unregister_view
+from stkzoo.env.ids import register_ids, register_view
 from stkzoo.errors import *  # noqa: F403 - all of them are public
 from stkzoo.names import *  # noqa: F403
 from stkzoo.wrappers import (
@@ -69,7 +69,6 @@ __all__ = [
     "Start",
     "make_stkrace_vec",
     "register_view",
-    "unregister_view",
     "views",
 ]
 __all__ += errors.__all__

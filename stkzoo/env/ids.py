@@ -7,13 +7,11 @@ import warnings
 import gymnasium
 import pettingzoo
 
-from stkzoo._checks import check_name
 from stkzoo.errors import ConfigError
-from stkzoo.views import SHIPPED, VIEWS, ViewFactory, find_view, views
+from stkzoo.views import SHIPPED, VIEWS, find_view, views
 
 MAX_EPISODE_STEPS = 1500
 _NAMESPACE = "supertuxkart"
-_SHIPPED = frozenset(view.name for view in SHIPPED)
 
 
 def register_ids() -> None:
@@ -45,61 +43,27 @@ def register_gymnasium_ids() -> None:
     )
 
 
-def register_view(name: str, view: object, *, replace: bool = False) -> None:
+def register_view(name: str, view: object) -> None:
     """Adds a view, for ``view="<name>"`` and ``gym.make("supertuxkart/<name>-v0")``.
 
-    You may register the same view again, for example when a notebook cell runs twice.
-
     Args:
-        name: name of the view.
+        name: name of the view. It replaces a view that you registered under this name.
         view: function that wraps a Gymnasium environment, such as a :class:`gymnasium.Wrapper`
             class. Its other parameters are the view's options. Or a known view with options:
             ``("simple", {"state_items": 3})``.
-        replace: whether to replace an existing custom view of that name.
 
     Raises:
-        ConfigError: the name is taken or not a valid name, or ``view`` is not a view.
+        ConfigError: the name is that of a built-in view or not a valid name, or ``view`` is not a
+            view.
     """
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
-    _refuse_shipped(name, "choose another name")
+    if name in {shipped.name for shipped in SHIPPED}:
+        raise ConfigError(f"view {name!r} is stkzoo's own; choose another name")
     added = find_view(view)
-    if name in VIEWS and not (replace or _is_same(added, VIEWS[name])):
-        raise ConfigError(
-            f"view {name!r} exists already and is {VIEWS[name]!r}; choose another name, or pass "
-            "replace=True"
-        )
     if name not in VIEWS:
         _register_view_id(name)
     VIEWS[name] = added
-
-
-def unregister_view(name: str) -> None:
-    """Removes a view that :func:`register_view` added, and its id.
-
-    Args:
-        name: name of the view.
-
-    Raises:
-        ConfigError: no view has that name, or the view is built in.
-    """
-    _refuse_shipped(name, "it stays")
-    check_name("registered view", name, VIEWS.keys() - _SHIPPED)
-    del VIEWS[name]
-    gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None)
-
-
-def _refuse_shipped(name: str, remedy: str) -> None:
-    if name in _SHIPPED:
-        raise ConfigError(f"view {name!r} is stkzoo's own; {remedy}")
-
-
-def _is_same(view: ViewFactory, other: ViewFactory) -> bool:
-    """Whether two views are equal, or come from the same definition run twice."""
-    names = [
-        (entry.__module__, getattr(entry, "__qualname__", id(entry))) for entry in (view, other)
-    ]
-    return view == other or names[0] == names[1]
 
 
 def _register_view_id(name: str) -> None:
