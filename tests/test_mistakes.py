@@ -385,7 +385,7 @@ TERMS = [
 def test_what_a_reward_term_returns_is_checked(race, returned, expected):
     step = Transition(race.snapshot, race.snapshot, 100.0)
     with pytest.raises(ConfigError) as caught:
-        stkzoo.Reward({"mine": lambda _: returned})(step)
+        stkzoo.Reward({"mine": lambda _: returned}).value("mine", step)
     assert expected in str(caught.value)
     assert is_legible(str(caught.value))
 

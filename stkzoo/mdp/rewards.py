@@ -1,8 +1,8 @@
 """Rewards as sums of named terms, each computed for all karts at once.
 
-A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` float64. The
-kernel computes the built-in terms (``stkzoo/kernel/step_scorer.c``). A :class:`Reward` is a
-weighted sum of terms; ``infos[agent]["reward/<name>"]`` holds the weighted value of each term.
+The kernel computes the built-in *terms* (``stkzoo/kernel/step_scorer.c``). Any other term is a
+function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` float64. A :class:`Reward` is
+a weighted sum of terms; ``infos[agent]["reward/<name>"]`` holds the weighted value of each term.
 
 The ``reward`` argument of an environment accepts:
 
@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from numbers import Real
 from typing import Any
 
@@ -28,11 +27,9 @@ import numpy.typing as npt
 
 from stkzoo._checks import check_name, check_number, check_type, shortened
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.kernel import StepScorer
 from stkzoo.mdp.transition import Transition
 
 FloatArray = npt.NDArray[np.float64]
-RewardTerm = Callable[[Transition], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -45,26 +42,8 @@ class KernelTerm:
 
     name: str
 
-    def __call__(self, step: Transition) -> FloatArray:
-        """Returns the value for each kart, ``(K,)`` float64."""
-        scorer, karts, ends, cuts = _scorer_of(self.name, step.num_kart, step.race_length)
-        values = np.zeros(step.num_kart)
-        before, after = step.before.data, step.after.data
-        scorer.score_into(before, after, False, karts, karts, values, ends, cuts)
-        return values
 
-
-@lru_cache(maxsize=64)
-def _scorer_of(term: str, num_kart: int, race_length: float) -> tuple[Any, ...]:
-    """Returns a scorer whose reward is one term, all karts, and room for their ends."""
-    karts, ends = np.arange(num_kart), np.zeros((2, num_kart), np.bool_)
-    reward = (term,), np.ones(1), np.zeros(1, np.intp)
-    last, sums, owed, limits = np.zeros((4, num_kart, 1))
-    limits += np.inf
-    parts = last, sums, owed, limits, race_length, (reward,) * num_kart
-    scorer = StepScorer(karts, *parts, np.zeros(0))
-    return scorer, karts, *ends
-
+RewardTerm = KernelTerm | Callable[[Transition], FloatArray]
 
 #: 0.1 per meter driven.
 progress = KernelTerm("progress")
@@ -100,8 +79,8 @@ class Reward:
             such a jump pays little.
 
     Raises:
-        ConfigError: a name is not text, a term is not callable, or a weight or limit is not finite
-            or has no term.
+        ConfigError: a name is not text, a term is neither built in nor callable, or a weight or
+            limit is not finite or has no term.
     """
 
     terms: Mapping[str, RewardTerm]
@@ -112,7 +91,7 @@ class Reward:
         for part in ("terms", "weights", "limits"):
             check_type(part, getattr(self, part), Mapping, "a dict by name")
         for name, term in self.terms.items():
-            if not isinstance(name, str) or not callable(term):
+            if not isinstance(name, str) or not _is_term(term):
                 raise ConfigError(
                     f"reward term {name!r} is {term!r}, expected a name and a function of a "
                     "Transition that returns (K,) floats"
@@ -128,22 +107,15 @@ class Reward:
             check_name("reward term", name, self.terms)
             check_number(f"limit of reward term {name!r}", limit)
 
-    def __call__(self, step: Transition) -> dict[str, FloatArray]:
-        """Returns the weighted value of each term before limits, ``(K,)`` float64 by name.
-
-        Raises:
-            ConfigError: a term failed, or returned other values than K finite numbers.
-        """
-        return {name: self.value(name, step) for name in self.terms}
-
     def value(self, name: str, step: Transition) -> FloatArray:
-        """Returns the weighted value of one term before its limit, ``(K,)`` float64.
+        """Returns the weighted value of your own term before its limit, ``(K,)`` float64.
 
         Raises:
             ConfigError: the term failed, or returned other values than K finite numbers.
         """
+        term: Any = self.terms[name]
         try:
-            returned = self.terms[name](step)
+            returned = term(step)
             value = np.asarray(returned)
         except Exception as error:
             label = "" if isinstance(error, StkzooError) else f"{type(error).__name__}: "
@@ -168,10 +140,14 @@ class Reward:
         Raises:
             ConfigError: a change is neither a number nor a function, or a weight has no term.
         """
-        added = {name: change for name, change in changes.items() if callable(change)}
+        added = {name: change for name, change in changes.items() if _is_term(change)}
         weights = {name: weight for name, weight in changes.items() if name not in added}
         limits = {name: limit for name, limit in self.limits.items() if name not in added}
         return Reward({**self.terms, **added}, {**self.weights, **weights}, limits)  # type: ignore[dict-item]
+
+
+def _is_term(value: object) -> bool:
+    return isinstance(value, KernelTerm) or callable(value)
 
 
 #: The built-in rewards. ``race`` is the default: driving better earns more. A kart that drives a

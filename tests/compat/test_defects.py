@@ -22,6 +22,7 @@ from stkzoo.wrappers import Discretizer
 from tests.support.generic_env import Counter, moment_of, observe_full
 from tests.support.paths import ROOT
 from tests.support.playing import kart_action
+from tests.support.rewards import values_of
 from tests.support.views import EACH_ID, marked
 
 MULTI_ID = "supertuxkart/multi-full-v0"
@@ -180,7 +181,7 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     before, *moments = snapshots_of(distances, finish_steps, lap_length)
     earned = np.zeros(len(finish_steps))
     for after in moments:
-        values = sum(reward(Transition(before, after, lap_length)).values())
+        values = sum(values_of(reward, Transition(before, after, lap_length)).values())
         earned += np.where(before.karts["has_finished_race"], 0.0, values)
         before = after
     by_rank = [earned[kart] for kart in np.argsort(after.karts["position"])]

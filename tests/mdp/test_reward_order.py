@@ -19,6 +19,7 @@ from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.transition import Transition
 from stkzoo.tracks import SPLITS
 from tests.support.paths import ROOT
+from tests.support.rewards import values_of
 
 #: What each kart does, in grid order.
 KARTS = ("stands", "rescues", "reverses", "AI 0", "pursuit", "heuristic")
@@ -44,7 +45,7 @@ class RecordedRace:
         """
         totals = np.zeros(len(KARTS))
         for row, (before, after) in enumerate(pairwise(map(snapshot, self.karts))):
-            terms = REWARDS[name](Transition(before, after, self.length))
+            terms = values_of(REWARDS[name], Transition(before, after, self.length))
             if "time" in terms:  # earned in every step
                 terms["time"] = terms["time"] * (self.steps[row + 1] - self.steps[row])
             is_racing = before.karts["has_finished_race"] == 0

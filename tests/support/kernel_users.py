@@ -4,7 +4,6 @@ import contextlib
 import importlib
 
 from stkzoo.engine.track import decode_track
-from stkzoo.mdp import rewards
 from stkzoo.wrappers.racing import road_observer
 
 #: The modules that use the kernel's names.
@@ -14,7 +13,6 @@ USERS = {
     "env.race": ["split_batch"],
     "env.vec.slots": ["new_batch"],
     "mdp.events": ["EventCounter"],
-    "mdp.rewards": ["StepScorer"],
     "wrappers.marl.observations": ["action_mask"],
     "drivers.messages": ["join_rows"],
     "views.chains": ["new_batch", "split_batch"],
@@ -40,5 +38,5 @@ def replaced_kernel(patch, replacements):
 
 
 def _forget_objects():
-    for cache in (decode_track, rewards._scorer_of, road_observer):
+    for cache in (decode_track, road_observer):
         cache.cache_clear()
