@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import chain, repeat
@@ -162,6 +162,9 @@ class RaceOpponents:
         Args:
             drivers: one driver per opponent.
             episode: the race.
+
+        Raises:
+            ConfigError: a driver's view fails.
         """
         self.close()
         seed = episode.race.seed
@@ -228,31 +231,20 @@ class RaceOpponents:
         observations |= seen
 
     def _chains_here(self) -> AgentChains:
-        """Builds the opponents' views and removes opponents whose wrappers fail.
+        """Builds the opponents' views.
 
         Raises:
-            ConfigError: the opponents cannot use the agents' view.
+            ConfigError: a view fails, or an opponent cannot use the agents' view.
         """
+        opponents = self.present.values()
         try:
-            return self._chains_of(self.present.values())
-        except (AgentException, ConfigError):
-            for opponent in list(self.present.values()):
-                self._try_view(opponent)
-        return self._chains_of(self.present.values())
-
-    def _try_view(self, opponent: Opponent) -> None:
-        try:
-            self._chains_of([opponent])
+            return self._chains_of_views(*((each.agent, each.view) for each in opponents))
         except (AgentException, ConfigError) as error:
-            if opponent.view is self._view:
-                raise ConfigError(
-                    f"the opponent {name_of(opponent.driver)!r} cannot use the agents' view "
-                    f"({error}); give it another, such as Driver.of_policy(policy, view='racing')"
-                ) from error
-            self.retire(opponent, error)
-
-    def _chains_of(self, opponents: Iterable[Opponent]) -> AgentChains:
-        return self._chains_of_views(*((each.agent, each.view) for each in opponents))
+            names = ", ".join(repr(name_of(each.driver)) for each in opponents)
+            raise ConfigError(
+                f"a view of the opponents {names} fails ({error}); give the opponent another, "
+                "such as Driver.of_policy(policy, view='racing')"
+            ) from error
 
     def attempt(self, opponent: Opponent, call: Callable[[], Any]) -> Any:
         """Calls a driver; if the call fails, removes the driver and returns ``None``."""

@@ -161,7 +161,7 @@ class _Counts(gym.ObservationWrapper):
         return observation
 
 
-@pytest.mark.parametrize("fails_at", [0, 1, 4])
+@pytest.mark.parametrize("fails_at", [1, 4])
 def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
     made = []
 
@@ -182,10 +182,19 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
         assert made[-1].count == 7
 
 
+def test_a_view_of_an_opponent_that_cannot_be_made_is_an_error():
+    driver = Driver.of_policy(lambda _: CHOICES, view=lambda env: _Counts(env, 0))
+    with (
+        against(["ai", driver]) as env,
+        pytest.raises(ConfigError, match=r"'kart_2' failed to wrap .* no more\); give"),
+    ):
+        env.reset(seed=1)
+
+
 def test_policies_of_opponents_get_no_images():
     with (
         against([forward], view=("camera", {"backend": "map"})) as env,
-        pytest.raises(ConfigError, match=r"'forward' cannot use the agents' view .*no camera"),
+        pytest.raises(ConfigError, match=r"a view of the opponents 'forward' fails .*no camera"),
     ):
         env.reset(seed=1)
     driver = Driver.of_policy(forward, view=RACE["view"])
