@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
@@ -26,7 +27,8 @@ _LISTS = {
 }
 #: Entries for the motion of other karts, if the environment provides them.
 MOTION = ("karts_velocity", "karts_heading")
-_POSITIONS = ("center_path", "items_position", "karts_position", "paths_end", "paths_start")
+#: Entries with positions, which :class:`PolarObservations` converts.
+POSITIONS = ("center_path", "items_position", "karts_position", "paths_end", "paths_start")
 
 
 class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
@@ -121,18 +123,6 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
         return changed
 
 
-class PolarBox(spaces.Box):
-    """The space of polar positions; equal to a ``Box`` with the same bounds."""
-
-    @classmethod
-    def of(cls, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """Returns the polar space for a space of positions."""
-        if isinstance(space, spaces.Sequence):
-            return spaces.Sequence(cls.of(space.feature_space))
-        assert isinstance(space, spaces.Box)  # noqa: S101 - the space of a position
-        return cls(space.low, space.high, dtype=np.float32)
-
-
 class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Converts positions in the kart frame to two angles and a distance.
 
@@ -154,17 +144,13 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
         space = dict_space(env.observation_space, "observations", "PolarObservations")
-        self._keys = tuple(key for key in _POSITIONS if key in space.spaces)
+        self._keys = tuple(key for key in POSITIONS if key in space.spaces)
         if not self._keys:
             raise ConfigError(
                 f"PolarObservations found no positions among {', '.join(space.spaces)}; "
-                f"it changes {', '.join(_POSITIONS)}."
+                f"it changes {', '.join(POSITIONS)}."
             )
-        refuse_polar(space, "PolarObservations", "only once")
-        changed = copy.deepcopy(space)
-        for key in self._keys:
-            changed[key] = PolarBox.of(space[key])
-        self.observation_space = changed
+        refuse_polar(env, "PolarObservations", "only once")
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
@@ -185,27 +171,29 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         return changed
 
 
-def refuse_polar(space: spaces.Dict, wrapper: str, place: str) -> None:
-    """Checks that the positions in an observation are in meters.
+def inwards(env: Any) -> Iterator[Any]:
+    """Yields an environment's wrappers, the outermost first."""
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+
+
+def refuse_polar(env: gym.Env[Any, Any], wrapper: str, place: str) -> None:
+    """Checks that the positions in an environment's observations are in meters.
 
     Args:
-        space: space of the observation.
+        env: the environment.
         wrapper: name of the wrapper, for the message.
         place: where to put it, for the message.
 
     Raises:
         ConfigError: positions are polar already.
     """
-    polar = [key for key in _POSITIONS if key in space.spaces and _is_polar(space[key])]
-    if polar:
+    if any(isinstance(inner, PolarObservations) for inner in inwards(env)):
         raise ConfigError(
-            f"{wrapper} found polar positions under {', '.join(polar)}. Use it around a view with "
-            f"positions in meters, such as full, and {place}."
+            f"{wrapper} found PolarObservations inside it. Use it around a view with positions in "
+            f"meters, such as full, and {place}."
         )
-
-
-def _is_polar(space: spaces.Space[Any]) -> bool:
-    return isinstance(getattr(space, "feature_space", space), PolarBox)
 
 
 def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Space[Any]:

@@ -19,7 +19,7 @@ from stkzoo.views.shipped import SHIPPED
 from stkzoo.views.split_step import MonoAgentEnv
 from stkzoo.wrappers import DiscreteActionsWrapper
 from stkzoo.wrappers.flattening import SpaceFlattener
-from stkzoo.wrappers.observations import PolarBox
+from stkzoo.wrappers.observations import POSITIONS
 from stkzoo.wrappers.racing import (
     CHOICE_NAMES,
     CHOICES,
@@ -138,13 +138,14 @@ _PARTS = {
 
 
 def _entries(space: spaces.Dict) -> Rows:
+    has_lists = isinstance(space["paths_start"], spaces.Sequence)
     for key, part in space.spaces.items():
-        unit, meaning = _OBSERVED[key]
+        words = _OBSERVED[key] if has_lists else _polar(key, *_OBSERVED[key])
         inner = part.feature_space if isinstance(part, spaces.Sequence) else part
         shape = "text" if isinstance(inner, spaces.Text) else f"`{inner.shape}` {inner.dtype}"
         if isinstance(part, spaces.Sequence):
             shape = f"a list of {shape}"
-        yield f"`{key}`", shape, _range(inner), *_polar(inner, unit, meaning)
+        yield f"`{key}`", shape, _range(inner), *words
 
 
 def _slices(parts: Mapping[str, spaces.Space[Any]]) -> Rows:
@@ -152,7 +153,7 @@ def _slices(parts: Mapping[str, spaces.Space[Any]]) -> Rows:
     for key, part in parts.items():
         size = int(np.prod(part.shape or (1,)))
         unit, meaning = _OBSERVED[key]
-        yield _span(start, size), f"`{key}`", _range(part), *_polar(part, unit, meaning)
+        yield _span(start, size), f"`{key}`", _range(part), *_polar(key, unit, meaning)
         start += size
 
 
@@ -182,8 +183,8 @@ def _standing() -> Rows:
         start += size
 
 
-def _polar(space: spaces.Space[Any], unit: str, meaning: str) -> tuple[str, str]:
-    if not isinstance(space, PolarBox):
+def _polar(key: str, unit: str, meaning: str) -> tuple[str, str]:
+    if key not in POSITIONS:
         return unit, meaning
     return "rad, rad, m", f"{meaning}; polar: angle to the right, angle up, distance"
 

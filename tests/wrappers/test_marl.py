@@ -147,7 +147,7 @@ def test_karts_far_away_or_behind_are_hidden():
         (lambda env: PartialObservations(VIEWS["simple"](env)), "needs a list"),
         (
             lambda env: PartialObservations(PolarObservations(env), angle=1.0),
-            r"polar positions under .*inside PolarObservations",
+            r"found PolarObservations .*inside PolarObservations",
         ),
         (masked("flattened"), "wraps flattened_multidiscrete"),
         (JoinedObservations, "needs a flattened view"),

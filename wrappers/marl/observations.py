@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -23,7 +23,7 @@ from stkzoo.views.bases import (
     dict_space,
 )
 from stkzoo.wrappers.flattening import FlattenerWrapper
-from stkzoo.wrappers.observations import MOTION, refuse_polar
+from stkzoo.wrappers.observations import MOTION, inwards, refuse_polar
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -49,7 +49,7 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        flattener = next((w for w in _inwards(env) if isinstance(w, FlattenerWrapper)), None)
+        flattener = next((w for w in inwards(env) if isinstance(w, FlattenerWrapper)), None)
         space = env.observation_space
         if (
             flattener is None
@@ -85,13 +85,6 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         return {key: seen[key] for key in self._keys}
 
 
-def _inwards(env: Any) -> Iterator[Any]:
-    """Yields an environment's wrappers, the outermost first."""
-    while isinstance(env, gym.Wrapper):
-        yield env
-        env = env.env
-
-
 def _place(parts: Mapping[str, spaces.Space[Any]], key: str) -> int:
     """Returns the index of a key's single value in the flattened vector of some parts."""
     keys = list(parts)
@@ -106,7 +99,7 @@ def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> npt.NDArray[np
     """Returns whether each action, or value of a choice, presses nitro, and fires: ``(2, n)``."""
     if isinstance(env.action_space, spaces.Discrete):
         action: Any = np.arange(env.action_space.n)
-        for wrapper in _inwards(env):
+        for wrapper in inwards(env):
             if isinstance(wrapper, ActionObservationWrapper):
                 action = wrapper.action(action)
             if wrapper is flattener:
@@ -162,7 +155,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
                     f"PartialObservations needs a list (a Sequence space) under {key!r}, but found "
                     f"{space.spaces.get(key)!r}. Use it around the full view."
                 )
-        refuse_polar(space, "PartialObservations", "inside PolarObservations")
+        refuse_polar(env, "PartialObservations", "inside PolarObservations")
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns the observation without hidden objects."""

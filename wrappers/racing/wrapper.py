@@ -73,7 +73,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
                 "RacingObservations needs the full view. Put it inside all other wrappers. "
                 f"Found {shortened(space)}"
             )
-        refuse_polar(space, "RacingObservations", "not around PolarObservations")
+        refuse_polar(env, "RacingObservations", "not around PolarObservations")
         vector = spaces.Box(-5.0, 5.0, (self._size,), np.float32)
         self.observation_space = vector
         self._has_action = "action" in space.spaces
