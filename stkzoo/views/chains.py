@@ -397,16 +397,11 @@ class AgentChains:
         """
         for (agent, chain), has_car in zip(self._chains.items(), self._has_car, strict=True):
             wrappers, car = memory[agent]
-            here = _classes(chain.remembering(), has_car)
-            there = _classes(wrappers.owners, car[2] > 0)
-            if here != there:
-                names, others = (
-                    ", ".join(each.__name__ for each in classes) or "pure functions"
-                    for classes in (here, there)
-                )
+            here, there = (list(map(type, each)) for each in (chain.remembering(), wrappers.owners))
+            if here != there or has_car != (car[2] > 0):
                 raise AgentException(
-                    f"the wrappers of agent {agent!r} failed to take over a saved state: they are "
-                    f"{names}; the state's were {others}",
+                    f"agent {agent!r} has other wrappers than in the saved state; use an "
+                    "environment with the same views",
                     agent,
                 )
 
@@ -453,8 +448,3 @@ class AgentChains:
         group_seats = seats.at(at)
         numbers = np.array([self._numbers[agent] for agent in group_seats.agents], np.intp)
         return _Group(kernel, group_seats, at, numbers, is_walked)
-
-
-def _classes(owners: Sequence[Any], has_car: bool | np.bool_) -> list[type]:
-    """Returns the classes of what an agent's wrappers remember."""
-    return [*map(type, owners), *([CarController] if has_car else [])]

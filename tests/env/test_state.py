@@ -254,7 +254,7 @@ def test_a_state_of_other_wrappers_is_refused_and_the_race_continues(env):
         state = started(other).save_state()
         expected = drive(started(env))
         started(env)
-        with pytest.raises(AgentException, match="take over a saved state"):
+        with pytest.raises(AgentException, match="'kart_0' has other wrappers"):
             env.restore_state(state)
         assert drive(env) == expected
 
