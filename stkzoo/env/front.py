@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.utils import EzPickle
 
 from stkzoo._checks import check_type
@@ -67,17 +66,6 @@ class RaceFront(EzPickle):
                 ``"engine"``.
         """
         return self.live_race.rendering.render(self.live_race.episode)
-
-    def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
-        """Returns each agent's camera frame, ``(height, width, 3)`` uint8, in any render mode.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``.
-            EngineError: the game cannot render on this machine and ``render_backend`` is
-                ``"engine"``.
-        """
-        race = self.live_race
-        return race.rendering.frames(race.running("frames"), race.possible_agents)
 
     def close(self) -> None:
         """Stops the game process. You may call ``reset`` again."""

@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 from stkzoo._checks import check_name, unknown_name
 from stkzoo._os import check_display, display_problem
 from stkzoo.engine.render_session import has_graphics_card
@@ -29,9 +26,6 @@ if TYPE_CHECKING:
 RENDER_MODES = ("human", "rgb_array")
 
 _PRESETS = ("ld", "sd", "hd")
-
-
-Picture = npt.NDArray[np.uint8]
 
 
 class Rendering:
@@ -110,13 +104,6 @@ class Rendering:
             raise ApiOrderError("render() before reset(); call reset() first")
         self._renderer.follow(scene_of(episode))
         return self._renderer.picture(episode.snapshot)
-
-    def frames(self, episode: Episode, agents: Sequence[str]) -> dict[str, Picture]:
-        """Returns the frame of each agent that has a camera."""
-        self._renderer.follow(scene_of(episode))
-        by_kart = self._renderer.pictures(episode.snapshot)
-        karts = dict(zip(agents, episode.race.kart_indices, strict=True))
-        return {agent: by_kart[kart] for agent, kart in karts.items() if kart in by_kart}
 
     def close(self) -> None:
         """Stops the render process, if there is one."""

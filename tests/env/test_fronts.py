@@ -14,6 +14,7 @@ from stkzoo.env.front import RaceFront
 from stkzoo.sb3 import RaceVecEnv
 from stkzoo.views import views
 from stkzoo.wrappers.marl import MessageChannel, Teams
+from tests.support.rendering import frames_of
 
 #: The first lap ends at once, and GO comes halfway.
 BASE = {
@@ -166,7 +167,7 @@ def outcome(make, options, asked=None):
         race = race_of(env)
         shown = [as_text(results) for results in play(env, asked)]
         if race is not None:  # else it is in another process
-            shown += [as_text(race.frames()), as_text(race.render()) if race.render_mode else ""]
+            shown += [as_text(frames_of(race)), as_text(race.render()) if race.render_mode else ""]
         return str(shown)
     except (ConfigError, EngineError) as error:
         return f"refused: {error}"

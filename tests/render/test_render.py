@@ -25,7 +25,7 @@ from stkzoo.engine.assets import DATADIR_VARIABLE
 from stkzoo.errors import ConfigError, EngineCrashed
 from stkzoo.names import CameraMode
 from tests.support.processes import wait_until
-from tests.support.rendering import drive, history, small_race, who_draws
+from tests.support.rendering import drive, frames_of, history, small_race, who_draws
 from tests.support.views import marked
 
 SMALL = (96, 64)
@@ -245,11 +245,11 @@ def test_the_window_follows_the_race(display):
 # ------------------------------------------------------------------ cameras
 
 
-def test_frames_are_returned_by_agent_in_all_modes():
+def test_the_first_agents_have_the_cameras():
     agents = [AgentSpec(), AgentSpec(), AgentSpec()]
     with small_race(agents=agents, num_cameras=2, **MAP) as env:
         for now in drive(env, 3):
-            frames = now.frames()
+            frames = frames_of(now)
     assert list(frames) == ["kart_0", "kart_1"]
     assert all(map(is_picture, frames.values()))
 
@@ -258,7 +258,7 @@ def test_agents_can_request_a_camera():
     agents = [AgentSpec(), AgentSpec(camera_mode=CameraMode.ON), AgentSpec()]
     with small_race(agents=agents, **MAP) as env:
         env.reset(seed=1)
-        assert list(env.frames()) == ["kart_1"]
+        assert list(frames_of(env)) == ["kart_1"]
 
 
 def test_a_camera_in_a_race_without_graphics_is_harmless():
@@ -283,7 +283,7 @@ def test_the_game_or_else_the_map_draws_without_changing_the_race(caplog):
         for now in drive(env, 25):
             moments.append(now.snapshot.data)
             if len(moments) in (1, 20):
-                picture, frames = now.render(), now.frames()
+                picture, frames = now.render(), frames_of(now)
                 assert is_picture(picture, (160, 120))
         assert env.render_backend == who_draws()
     assert moments == history(25)
@@ -302,7 +302,7 @@ def drawn_by_the_game(size, cameras):
     with race_v0.parallel_env(num_kart=5, agents=agents, track="hacienda", **options) as env:
         env.reset(seed=2)
         assert env.scene.kart_indices[0] != 0  # agents and karts have different numbers
-        return env.frames()
+        return frames_of(env)
 
 
 def is_red(picture):

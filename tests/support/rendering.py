@@ -46,6 +46,15 @@ def small_race(**options):
     return race_v0.parallel_env(num_kart=3, track="lighthouse", **options)
 
 
+def frames_of(env):
+    """Returns the frame of each agent with a camera, in any render mode."""
+    renderer = env.live_race.rendering._renderer
+    renderer.follow(env.scene)
+    by_kart = renderer.pictures(env.snapshot)
+    karts = zip(env.live_race.possible_agents, env.race.kart_indices, strict=True)
+    return {agent: by_kart[kart] for agent, kart in karts if kart in by_kart}
+
+
 def history(steps=40, **options):
     """Returns all snapshots of a small race as bytes."""
     with small_race(**options) as env:
