@@ -215,7 +215,6 @@ CALLS = [
     (lambda: run_race(["none/agent.zip"]), "there is no agent 'none/agent.zip'; expected a folder"),
     (lambda: make().reset(options={"num_kart": 5}), "make another environment"),
     (lambda: make().reset(options="lighthouse"), "expected a dict from names of options"),
-    (lambda: stkzoo.make_stkrace_vec(1, env_kwarg={}), "Did you mean 'env_kwargs'?"),
     (lambda: stkzoo.register_view("my view", "simple"), "letters, digits and underscores"),
     (lambda: stkzoo.RaceVectorEnv("two"), "num_races is 'two'"),
     (lambda: make(track="agents"), "unknown track 'agents'. Choose a name from the list:"),

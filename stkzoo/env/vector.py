@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv
 
-from stkzoo._checks import check_type, check_whole, unknown_argument
+from stkzoo._checks import check_type, check_whole
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.gymnasium_api import split_keywords
@@ -82,11 +81,6 @@ def make_stkrace_vec(
         ConfigError: an argument is invalid.
     """
     check_whole("num_envs", num_envs, 1)
-    known = [*inspect.signature(make_stkrace_vec).parameters]
-    known = [*known[:-1], *inspect.signature(AsyncVectorEnv).parameters]
-    for name in vec_kwargs:
-        if name not in known:
-            raise unknown_argument(name, known)
     check_type("env_kwargs", env_kwargs, Mapping | None, "a dict of keyword arguments")
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
