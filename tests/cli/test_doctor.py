@@ -151,22 +151,3 @@ def test_it_works_beside_an_initialized_engine_with_an_accented_path_in_a_c_loca
     done = run_program(code, env={**os.environ, **plain, **places})
     assert done.returncode == 0, done.stderr
     assert "A headless race can run here." in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("name", "beginning"), [("/usr/bin/stkzoo", "stkzoo: "), ("mine.py", "ImportError: ")]
-)
-def test_a_gymnasium_that_is_much_too_old_is_one_error(name, beginning):
-    code = f"""
-        import sys, gymnasium
-        sys.argv[0] = {name!r}
-        gymnasium.__version__ = "0.29.1"
-        del gymnasium.vector.AutoresetMode
-        import stkzoo.cli
-    """
-    done = run_program(code)
-    last = done.stderr.splitlines()[-1]
-    assert done.returncode == 1
-    assert last.startswith(f"{beginning}Gymnasium 0.29.1 is too old for stkzoo: ")
-    assert last.endswith("pip install --upgrade gymnasium")
-    assert ("Traceback" in done.stderr) == (name == "mine.py")
