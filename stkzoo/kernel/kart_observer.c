@@ -256,13 +256,8 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
     }
     for (npy_intp i = 0; i < real; i++) {
         const float *row = from + step * (order ? order[i] : i);
-        float *to = out + width * i;
-        switch (key->form & IS_POINT ? 0 : width) { /* unrolled, which is faster */
-        case 0: see(scene, row, to); break;
-        case 3: to[2] = row[2]; /* fall through */
-        case 2: to[1] = row[1]; /* fall through */
-        default: to[0] = row[0];
-        }
+        if (key->form & IS_POINT) see(scene, row, out + width * i);
+        else memcpy(out + width * i, row, width * sizeof *row);
     }
     for (npy_intp i = 0; i < real && scene->is_polar && key->form & IS_PLACE; i++) {
         make_polar(out + width * i);
