@@ -57,14 +57,9 @@ class MonoAgentWrapperAdapter(
 
     def __new__(cls, env: Any = None, *arguments: Any, **options: Any) -> Any:
         """Returns a :class:`ParallelAgentAdapter` around a ``ParallelEnv``."""
-        if not isinstance(env, ParallelEnv):
-            return super().__new__(cls)
-        if cls is not MonoAgentWrapperAdapter:
-            raise ConfigError(
-                f"{cls.__name__} is a Gymnasium wrapper and cannot wrap the ParallelEnv {env}; "
-                "derive a class from ParallelAgentAdapter for it"
-            )
-        return ParallelAgentAdapter(env, *arguments, **options)
+        if cls is MonoAgentWrapperAdapter and isinstance(env, ParallelEnv):
+            return ParallelAgentAdapter(env, *arguments, **options)
+        return super().__new__(cls)
 
     def __init__(
         self,
@@ -75,7 +70,7 @@ class MonoAgentWrapperAdapter(
     ) -> None:
         if not isinstance(env, gym.Env):
             raise ConfigError(
-                f"MonoAgentWrapperAdapter wraps a ParallelEnv or a gymnasium.Env, not {env!r}."
+                f"env is {env!r}, expected a gymnasium.Env or, without a subclass, a ParallelEnv"
             )
         gym.utils.RecordConstructorArgs.__init__(
             self,
