@@ -103,10 +103,7 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
     if isinstance(view, partial):
         return options_of(view.func)
     is_class = isinstance(view, type)
-    try:
-        signature = inspect.signature(view.__init__ if is_class else view)
-    except (TypeError, ValueError):  # C functions have no signature
-        return ()
+    signature = inspect.signature(view.__init__ if is_class else view)
     named = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
     parameters = list(signature.parameters.values())[2 if is_class else 1 :]
     return tuple(parameter.name for parameter in parameters if parameter.kind in named)

@@ -148,11 +148,6 @@ def test_a_view_can_be_made_of_another_view():
     assert chain.observation_space["karts_velocity"].shape == (1, 3)
 
 
-def test_a_built_in_function_has_no_options():
-    with pytest.raises(ConfigError, match="has no options; 'size' came"):
-        find_view((max, {"size": 1}))
-
-
 def test_a_known_view_with_options_can_be_registered():
     stkzoo.register_view("three", ("simple", {"state_items": 3}))
     try:
