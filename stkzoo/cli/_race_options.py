@@ -12,7 +12,7 @@ from stkzoo._arguments import changed_options, option, options_of
 from stkzoo._os import check_display
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, RaceVideo
-from stkzoo.race.replay import ReplayWriter, ghost_of, load_replay
+from stkzoo.race.replay import ReplayWriter
 
 _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 
@@ -47,7 +47,6 @@ class VideoArguments:
         render_sub_steps: frames per step (usually 0.1 s)
         render_backend: engine draws the game in 3D; map draws it from above, ten times as fast;
             auto uses the game if it can draw here
-        ghost: draw the winner of a replay (.stkz) of the same track on the map
     """
 
     video: str | None = option(metavar="FILE", aliases=("--record",))
@@ -56,7 +55,6 @@ class VideoArguments:
     height: int = option(480, metavar="PIXELS", aliases=("--screen-height",))
     render_sub_steps: int = 3
     render_backend: str = option("auto", choices=("auto", "engine", "map"))
-    ghost: str | None = option(metavar="FILE")
 
 
 @dataclass
@@ -149,7 +147,6 @@ def _video(video: VideoArguments, file: str) -> RaceListener:
         size=(video.width, video.height),
         sub_steps=video.render_sub_steps,
         backend=video.render_backend,
-        ghost=ghost_of(load_replay(video.ghost)) if video.ghost else None,
     )
 
 

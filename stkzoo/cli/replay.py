@@ -8,7 +8,6 @@ Examples:
   stkzoo race heuristic ai ai --seed 1 --replay race.stkz
   stkzoo replay race.stkz                      run it again and check it
   stkzoo replay race.stkz --video race.mp4     make a video of it
-  stkzoo replay race.stkz --video map.mp4 --ghost best.stkz
   stkzoo replay race.stkz --info               describe the file, run nothing
 
 exit codes:

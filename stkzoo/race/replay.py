@@ -38,12 +38,11 @@ from stkzoo.engine.assets import find_assets
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.errors import StkzooError
 from stkzoo.mdp.spaces import action_of, controls_of
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.runner import run_race
-from stkzoo.render.scene import Ghost
 
 #: Size of one digest [bytes].
 DIGEST_SIZE = 8
@@ -496,57 +495,3 @@ def _is_equal(one: Any, two: Any) -> bool:
     if isinstance(one, float) and isinstance(two, float):  # the kernel and numpy round differently
         return math.isclose(one, two, rel_tol=1e-4, abs_tol=1e-2)
     return bool(one == two)
-
-
-# ---------------------------------------------------------------------- ghosts
-
-
-def ghost_of(replay: Replay) -> Ghost:
-    """Plays a replay and returns the way of its winner until the finish.
-
-    Args:
-        replay: the recorded race.
-
-    Raises:
-        ReplayError: the replay cannot be played (see :func:`.play_replay`), or the race differs
-            from the recording.
-        ConfigError: the race ended before it started to count the time.
-    """
-    recorder = _Recorder()
-    playback = play_replay(replay, listeners=[recorder])
-    if playback.first_difference is not None:
-        raise ReplayError(
-            f"the replay has no ghost: its race differs after step {playback.first_difference} of "
-            f"{replay.steps}; expected a race that runs as recorded, see `stkzoo replay FILE`"
-        )
-    times = np.array(recorder.times)
-    begin = int(np.flatnonzero(times <= 0)[-1])
-    end = np.searchsorted(times, recorder.finish_time) if recorder.finish_time else len(times) - 1
-    if begin >= end:
-        raise ConfigError("the replay ends before the race begins; record a longer one")
-    rows = slice(begin, int(end) + 1)
-    places = np.array(recorder.places[rows], np.float64)[:, recorder.winner]
-    return Ghost(replay.track, replay.reverse, recorder.winner_name, times[rows], places)
-
-
-class _Recorder(RaceListener):
-    """Records the race times and the places of all karts."""
-
-    def __init__(self) -> None:
-        self.times: list[float] = []
-        self.places: list[npt.NDArray[np.float32]] = []
-        self.finish_time = 0.0
-
-    def started(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.stepped(race)
-
-    def stepped(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        karts = race.snapshot.karts
-        self.times.append(float(race.snapshot.header["time"]))
-        self.places.append(karts["location"][:, ::2].copy())
-        self.winner = int(karts["position"].argmin())
-        self.winner_name = race.scene.names[self.winner]
-        if karts["has_finished_race"][self.winner]:
-            self.finish_time = float(karts["finish_time"][self.winner])

@@ -28,7 +28,7 @@ from stkzoo.render.motion import snapshots_between
 from stkzoo.render.overlays import ResultRow, end_card, with_labels
 from stkzoo.render.pictures import grid_of, tiled
 from stkzoo.render.renderer import RaceRenderer, camera_karts
-from stkzoo.render.scene import Ghost, Scene, clock, standings
+from stkzoo.render.scene import Scene, clock, standings
 from stkzoo.wrappers.camera import checked_size
 
 logger = logging.getLogger(__name__)
@@ -57,8 +57,6 @@ class RaceVideo(RaceListener):
             ``"auto"``, the game if it can render on this machine, otherwise the map.
         preset: graphics quality of the game: ``"ld"``, ``"sd"`` or ``"hd"``.
         card_seconds: duration of the results at the end [s], at most 3,600.
-        ghost: kart of an earlier race on the same track, drawn on the map
-            (:func:`stkzoo.race.replay.ghost_of`); the frames are maps then.
 
     Raises:
         ConfigError: an argument is invalid, or a library is missing.
@@ -74,20 +72,17 @@ class RaceVideo(RaceListener):
         backend: str = "auto",
         preset: str = "ld",
         card_seconds: float = 4.0,
-        ghost: Ghost | None = None,
     ) -> None:
         if cameras is not None:
             check_whole("cameras", cameras, 1, MAX_CAMERAS)
         check_whole("sub_steps", sub_steps, 1, _MOST_SUB_STEPS)
         check_number("card_seconds", card_seconds, 0, _MOST_CARD_SECONDS, unit="seconds")
-        if ghost and backend == "engine":
-            raise ConfigError("a ghost is drawn on the map only; use the render backend map")
         self.path = check_video_path(path)
         width, height = checked_size(size)
         self._size = width & ~1, height & ~1  # video formats need even sizes
         self._cameras, self._sub_steps = cameras, sub_steps
-        self._card_seconds, self._ghost = card_seconds, ghost
-        self._renderer = RaceRenderer("map" if ghost else backend, self._size, preset)
+        self._card_seconds = card_seconds
+        self._renderer = RaceRenderer(backend, self._size, preset)
         self._writer: VideoWriter | None = None  # since started
 
     @property
@@ -99,13 +94,10 @@ class RaceVideo(RaceListener):
         """Starts the video with a frame of the karts on the grid.
 
         Raises:
-            ConfigError: the ghost drove on another track.
             EngineError: the game cannot render, and ``backend`` does not allow the map.
             VideoError: the file cannot be written.
         """
         scene = race.scene
-        if self._ghost:
-            self._ghost.check_track(scene.setup.track, reverse=scene.setup.reverse)
         wanted = min(len(scene.kart_indices), _USUAL_CAMERAS)
         cameras = wanted if self._cameras is None else self._cameras
         self._scene = replace(scene, setup=replace(scene.setup, num_cameras=cameras))
@@ -190,7 +182,7 @@ class RaceVideo(RaceListener):
         self._put(picture)
 
     def _map_picture(self, snapshot: Snapshot, size: tuple[int, int], *, panel: bool) -> Picture:
-        self._map = self._map or MapView(self._scene, size, panel=panel, ghost=self._ghost)
+        self._map = self._map or MapView(self._scene, size, panel=panel)
         self._map.remember(snapshot)
         return self._map.draw(snapshot)
 

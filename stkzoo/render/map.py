@@ -14,7 +14,7 @@ from stkzoo.engine.track import TrackMap
 from stkzoo.render.overlays import draw_panel, panel_width
 from stkzoo.render.palette import readable_on, rgb
 from stkzoo.render.pictures import font_of, pillow
-from stkzoo.render.scene import Ghost, Scene
+from stkzoo.render.scene import Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -27,7 +27,6 @@ _ROAD_LOW, _ROAD_HIGH = np.array([47, 57, 74]), np.array([112, 127, 150])
 _MARGIN = 0.05  # margin around the track, as a fraction of the frame
 _FOLLOWED = 90.0  # [m], width of a frame that follows a kart
 _TRAIL = 30  # length of a trail in snapshots
-_GHOST = (225, 232, 242)
 #: Color and radius [m] by number of stkzoo.names.ItemType.
 _ITEMS = {
     0: ("#ff9f43", 1.5),
@@ -50,7 +49,6 @@ class MapView:
         follow: kart to keep in the center of the frame, as an index in grid order; ``None`` shows
             the whole track.
         panel: whether to show the standings, if the frame is wide enough.
-        ghost: kart of an earlier race to show as a ring, if any.
     """
 
     def __init__(
@@ -60,10 +58,9 @@ class MapView:
         *,
         follow: int | None = None,
         panel: bool = True,
-        ghost: Ghost | None = None,
     ) -> None:
         self._pil = pillow()
-        self._scene, self._follow, self._ghost = scene, follow, ghost
+        self._scene, self._follow = scene, follow
         self._road = road_outline(scene.track_map)
         self._size = size
         self._panel = panel_width(size) if panel else 0
@@ -87,7 +84,6 @@ class MapView:
         draw = self._pil.ImageDraw.Draw(canvas)
         self._draw_items(draw, snapshot)
         self._draw_trails(draw, snapshot)
-        self._draw_ghost(draw, snapshot)
         self._draw_karts(draw, snapshot)
         small = canvas.reduce(_FINE)
         if not self._panel:
@@ -171,22 +167,6 @@ class MapView:
                 if np.abs(end - start).max() < longest:
                     mixed = tuple((_ROAD_LOW + fade * (color - _ROAD_LOW)).astype(int).tolist())
                     draw.line([tuple(start), tuple(end)], fill=mixed, width=width)
-
-    def _draw_ghost(self, draw: Any, snapshot: Snapshot) -> None:
-        """Draws a ring with the driver's name."""
-        if self._ghost is None:
-            return
-        place = self._ghost.place_at(float(snapshot.header["time"]))
-        if place is None:
-            return
-        x, y = self._pixels(place)
-        radius = 1.3 * self._radius()
-        box = [x - radius, y - radius, x + radius, y + radius]
-        draw.ellipse(box, outline=_GHOST, width=max(_FINE, round(radius / 4)))
-        text = f"ghost: {self._ghost.name}"
-        draw.text(
-            (x, y - 1.4 * radius), text, _GHOST, font_of(int(self._label.size), text), anchor="mb"
-        )
 
     def _draw_karts(self, draw: Any, snapshot: Snapshot) -> None:
         karts = snapshot.karts

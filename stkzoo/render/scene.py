@@ -1,16 +1,12 @@
-"""The data of a race that renderers use, its standings, and the ghost of an earlier race."""
+"""The data of a race that renderers use, and its standings."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.errors import ConfigError
 from stkzoo.render.palette import race_palette
 
 
@@ -59,47 +55,6 @@ class Scene:
     def label(self, kart: int) -> str:
         """Returns a kart's label on the map: its agent's number, or a dot."""
         return str(self.kart_indices.index(kart)) if kart in self.kart_indices else ""
-
-
-@dataclass(frozen=True, eq=False)
-class Ghost:
-    """The way of one kart in an earlier race.
-
-    Attributes:
-        track: name of the track.
-        reverse: whether it was driven in reverse.
-        name: display name of the driver.
-        times: ``(T,)`` race times [s], increasing from 0.
-        places: ``(T, 2)`` x and z at these times [m], world frame.
-    """
-
-    track: str
-    reverse: bool
-    name: str
-    times: npt.NDArray[np.float64]
-    places: npt.NDArray[np.float64]
-
-    def check_track(self, track: str, *, reverse: bool) -> None:
-        """Checks that a race has the ghost's track and direction.
-
-        Raises:
-            ConfigError: it has another one.
-        """
-        if (track, reverse) != (self.track, self.reverse):
-            raise ConfigError(
-                f"the ghost drives on {self.track} (reverse={self.reverse}) and this race is on "
-                f"{track} (reverse={reverse}); use a replay of the same track and direction"
-            )
-
-    def place_at(self, time: float) -> npt.NDArray[np.float64] | None:
-        """Returns where the kart was, ``(2,)``; ``None`` after its finish.
-
-        Args:
-            time: race time [s].
-        """
-        if time > self.times[-1]:
-            return None
-        return np.array([np.interp(time, self.times, column) for column in self.places.T])
 
 
 @dataclass(frozen=True, slots=True)

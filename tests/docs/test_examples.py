@@ -69,7 +69,6 @@ PARSED = {
     "tournament": "many races: tests/evaluation/test_tournament.py",
     "--web": "in real time, for viewers: tests/race/web/test_browser.py",
     "--demo": "in a terminal: tests/cli/test_race.py",
-    "--ghost": "needs races that last until the start: tests/race/test_ghost.py",
     "-h": "",
 }
 
