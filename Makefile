@@ -38,7 +38,6 @@ help:
 	@echo "make docs    build the documentation's pages; the tests run their examples"
 	@echo "make release  build and check the wheel and the source distribution, in the folder dist"
 	@echo "make clean   remove what was built here; the game's data stays"
-	@echo "             (it goes with: stkzoo assets clean)"
 
 race: $(VENV)/.core engine
 	$(BIN)/stkzoo assets install

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stkzoo._temporary import TemporaryFolder, remove_stale_folders, remove_tree
-from stkzoo.engine.assets import clean
+from stkzoo.engine.assets.staging import Progress, lock
 from tests.support.processes import run_program
 
 #: More nested folders than Python recurses into, in a path longer than the system allows.
@@ -88,8 +88,7 @@ def test_only_the_folders_of_killed_programs_are_removed(place):
         program.kill()
 
 
-def test_folders_of_the_user_are_kept_whatever_their_names(place, monkeypatch):
-    monkeypatch.setenv("STKZOO_CACHE", str(place))
+def test_folders_of_the_user_are_kept_whatever_their_names(place):
     killed = Path(run_program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)").stdout.strip())
     names_of_users = ["mine", "0123456789abcdef", "saved", "marked", "linked"]
     users = [place / f"stkzoo-run-{name}" for name in names_of_users]
@@ -102,7 +101,8 @@ def test_folders_of_the_user_are_kept_whatever_their_names(place, monkeypatch):
     (users[3] / f".made-by-stkzoo-as-{users[3].name}").mkdir()
     (users[4] / f".made-by-stkzoo-as-{users[4].name}").symlink_to(users[4] / "file")
     remove_stale_folders()
-    assert clean() == []
+    with lock(place, Progress()):
+        pass
     assert not killed.parent.exists()
     for folder in users:
         assert (folder / "file").read_text() == "mine"

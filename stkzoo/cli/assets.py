@@ -64,17 +64,6 @@ class PackArguments:
     replace: bool = option(False, flag="--force")
 
 
-@dataclass
-class CleanArguments:
-    """Options of ``stkzoo assets clean``.
-
-    Attributes:
-        yes: remove it; without this option, only show the folder
-    """
-
-    yes: bool = False
-
-
 def _status(arguments: StatusArguments) -> None:  # noqa: ARG001 - it has no options
     """Show where the data is.
 
@@ -126,22 +115,4 @@ def _pack(arguments: PackArguments) -> None:
     print(f"Ready: {path}")
 
 
-def _clean(arguments: CleanArguments) -> int:
-    """Remove stkzoo's data from its cache.
-
-    Removes the full data and the headless pack from stkzoo's cache. Nothing else is removed.
-    """
-    if not arguments.yes:
-        print(
-            f"Nothing was removed; to remove stkzoo's data from {assets.cache_folder()}, add --yes."
-        )
-        return 1
-    removed = assets.clean()
-    for folder in removed:
-        print(f"Removed {folder}")
-    if not removed:
-        print(f"No data of stkzoo in {assets.cache_folder()}.")
-    return 0
-
-
-ACTIONS = (_status, _install, _pack, _clean)
+ACTIONS = (_status, _install, _pack)

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import Progress, clean, find, find_assets, install, pack, survey
+from stkzoo.engine.assets import Progress, find, find_assets, install, pack, survey
 from stkzoo.engine.assets.headless import (
     PLACEHOLDER_JPEG,
     PLACEHOLDER_PNG,
@@ -246,26 +246,6 @@ class TestInstalling:
             with pytest.raises(AssetError, match=r"Disk quota exceeded.*STKZOO_CACHE"):
                 build()
 
-    @pytest.mark.usefixtures("headless")
-    def test_cleaning_keeps_other_files(self, cache):
-        write(cache / "thesis.txt")
-        write(cache / "full" / "thesis.txt")
-        clean()
-        assert visible(cache) == ["full", "thesis.txt"]
-
-    def test_data_whose_removal_was_interrupted_is_not_found(self, headless, monkeypatch):
-        def remove_marker(folder, **_):
-            for marker in folder.rglob(MARKER):
-                marker.unlink()
-            raise KeyboardInterrupt
-
-        with monkeypatch.context() as patched:
-            patched.setattr("shutil.rmtree", remove_marker)
-            with pytest.raises(KeyboardInterrupt):
-                clean()
-        assert find_assets().source == "pystk2 cache"
-        assert pack() == headless
-
     @staticmethod
     def start_an_install(seconds):
         process = subprocess.Popen(
@@ -490,7 +470,7 @@ class TestArchive:
 
     @staticmethod
     def refused(archive, match, cache):
-        clean()
+        shutil.rmtree(cache, ignore_errors=True)
         with pytest.raises(AssetError, match=match):
             install(archive=archive)
         assert visible(cache) == [] if cache.exists() else True
@@ -506,14 +486,6 @@ class TestCommandLine:
     def test_install_says_where_the_data_is(self, capsys):
         assert main(["assets", "install"]) == 0
         assert str(find.own_folder("headless")) in capsys.readouterr().out
-
-    def test_clean_removes_nothing_without_confirmation(self, headless):
-        assert main(["assets", "clean"]) == 1
-        assert headless.exists()
-
-    def test_clean_removes_with_confirmation(self, headless):
-        assert main(["assets", "clean", "--yes"]) == 0
-        assert not headless.exists()
 
     @pytest.mark.parametrize("words", [["assets"], ["asets"], ["assets", "install", "-x"]])
     def test_invalid_usage_exits_with_2(self, words, capsys):

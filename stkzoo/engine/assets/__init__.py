@@ -12,7 +12,7 @@ from stkzoo.engine.assets.find import (
     find_assets,
     survey,
 )
-from stkzoo.engine.assets.installer import clean, install, pack
+from stkzoo.engine.assets.installer import install, pack
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.engine.assets.tree import Assets
 
@@ -23,7 +23,6 @@ __all__ = [
     "PlaceReport",
     "Progress",
     "cache_folder",
-    "clean",
     "find_assets",
     "install",
     "pack",

@@ -1,4 +1,4 @@
-"""Installation and removal of the game's data and of the headless pack."""
+"""Installation of the game's data and of the headless pack."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from stkzoo._checks import check_name
-from stkzoo._reading import is_there
 from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
 from stkzoo.engine.assets.find import (
     CACHE_VARIABLE,
@@ -20,7 +19,7 @@ from stkzoo.engine.assets.find import (
 from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
 from stkzoo.engine.assets.scenes import SCENES_VERSION
 from stkzoo.engine.assets.staging import Progress, fresh_folder, lock, publish
-from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
+from stkzoo.engine.assets.tree import Assets, load_assets
 from stkzoo.errors import AssetError
 
 #: Sources from which :func:`install` can download the data.
@@ -93,27 +92,6 @@ def pack(
         return own_folder("headless")
     write_archive(own_folder("headless"), output, progress)
     return output
-
-
-def clean() -> list[Path]:
-    """Removes the data that stkzoo made from its cache, and nothing else.
-
-    Returns:
-        The removed folders.
-
-    Raises:
-        AssetError: the cache is not writable.
-    """
-    cache = cache_folder()
-    if not is_there(cache):
-        return []
-    with _changing_the_cache(Progress()):
-        folders = map(own_folder, ("full", "headless"))
-        ours = [folder for folder in folders if (folder / MARKER).is_file()]
-        for folder in ours:
-            with fresh_folder(cache, "old") as old:  # a partly removed folder must not be found
-                folder.rename(old / "tree")
-    return ours
 
 
 @contextlib.contextmanager
