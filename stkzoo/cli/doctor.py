@@ -10,15 +10,12 @@ Examples:
 
 from __future__ import annotations
 
-import math
 import os
-import resource
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 from stkzoo._imports import python_command
@@ -33,7 +30,7 @@ from stkzoo._os import DISPLAY_VARIABLES, display_problem
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.cli._console import JsonArguments, say, show, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem
-from stkzoo.engine.assets import CACHE_VARIABLE, DATADIR_VARIABLE, cache_folder, find_assets
+from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.process import engine_environment, explain_os_errors
 from stkzoo.engine.render_session import GRAPHICS_PACKAGES, missing_graphics_libraries
@@ -48,20 +45,8 @@ pystk2.init(pystk2.GraphicsConfig.none())
 print("tracks:", *pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE))
 """
 
-#: Limits of processes: their names, units, sizes of the units, and what is enough.
-_LIMITS = (
-    ("NOFILE", "open files", 1, 1024),
-    ("NPROC", "processes", 1, 512),
-    ("CPU", "s of CPU time", 1, math.inf),
-    ("FSIZE", "MB in a file", 1 << 20, 64),
-    ("DATA", "MB of data", 1 << 20, 4096),
-    ("AS", "MB of memory", 1 << 20, 4096),
-)
-
 #: Time limit for the engine's start [s], which normally takes 0.5 s.
 _PROBE_LIMIT = 60.0
-#: Files of graphics drivers.
-_DRIVERS = ("dri/*_dri.so", "*/dri/*_dri.so", "libnvidia-eglcore*", "*/libnvidia-eglcore*")
 
 
 def run(arguments: JsonArguments) -> int:
@@ -128,8 +113,6 @@ def _diagnose() -> Iterator[dict[str, Any]]:
         ("engine starts", _start, f"{install} --force"),
         ("headless pack", _pack, f"{prefix}stkzoo assets pack"),
         ("full data", _full_data, install),
-        ("cache", _cache, f"set {CACHE_VARIABLE} to a folder of your own"),
-        ("limits", _limits, "raise them (ulimit), or race fewer karts at once"),
         ("fork", _fork, "use Linux"),
         ("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
         ("3D graphics", _graphics, f"sudo apt install {GRAPHICS_PACKAGES}"),
@@ -217,25 +200,6 @@ def _full_data() -> str:
     return f"{assets.root} ({assets.source})"
 
 
-def _cache() -> str:
-    folder = cache_folder()
-    place = next(place for place in (folder, *folder.parents) if place.exists())
-    if not (place.is_dir() and os.access(place, os.W_OK)):
-        raise NotFound(f"{folder} cannot be written, so no data can be installed")
-    return str(folder)
-
-
-def _limits() -> str:
-    low = []
-    for name, unit, size, enough in _LIMITS:
-        value, _ = resource.getrlimit(getattr(resource, f"RLIMIT_{name}"))
-        if value != resource.RLIM_INFINITY and value < size * enough:
-            low.append(f"{value / size:,.0f} {unit}")
-    if low:
-        raise NotFound(f"each process can have only {', '.join(low)}")
-    return "high enough"
-
-
 def _fork() -> str:
     if not can_fork():
         raise NotFound("each race starts a new game process")
@@ -251,11 +215,9 @@ def _sandbox() -> str:
 def _graphics() -> str:
     if sys.platform != "linux":
         return "the system's own"
-    folders = (Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"))
-    has_driver = any(any(folder.glob(name)) for folder in folders for name in _DRIVERS)
-    if missing := [*missing_graphics_libraries(), *([] if has_driver else ["Mesa driver"])]:
+    if missing := missing_graphics_libraries():
         raise NotFound(f"no {', no '.join(missing)}")
-    return "libEGL, libGL and a driver"
+    return "libEGL and libGL"
 
 
 def _display() -> str:

@@ -12,7 +12,6 @@ import ctypes
 import errno
 import json
 import os
-import resource
 import signal
 import socket
 import subprocess
@@ -330,10 +329,6 @@ def describe_end(returncode: int) -> str:
     if returncode >= 0:
         return f"exited with code {returncode}"
     try:
-        how = f"was ended by {signal.Signals(-returncode).name}"
+        return f"was ended by {signal.Signals(-returncode).name}"
     except ValueError:
-        how = f"was ended by signal {-returncode}"
-    seconds, _ = resource.getrlimit(resource.RLIMIT_CPU)
-    if -returncode in (signal.SIGKILL, signal.SIGXCPU) and seconds != resource.RLIM_INFINITY:
-        how += f" (`ulimit -t` allows each process {seconds} s of CPU time)"
-    return how
+        return f"was ended by signal {-returncode}"

@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import hashlib
 import os
-import resource
 import shutil
 import signal
 import socket
@@ -20,7 +19,6 @@ import pytest
 from stkzoo._temporary import remove_stale_folders
 from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
-from stkzoo.engine.process import describe_end
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
@@ -157,17 +155,6 @@ def test_a_crash_because_of_damaged_data_says_how_to_replace_it(name, root, tmp_
     with pytest.raises(EngineCrashed, match="replace it: `stkzoo assets install --force`"):
         session.start(SETUP)
     session.close()
-
-
-def test_a_limit_of_cpu_time_is_named_where_a_process_was_killed():
-    soft, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    resource.setrlimit(resource.RLIMIT_CPU, (1_000_000, hard))
-    try:
-        named = describe_end(-signal.SIGKILL), describe_end(-signal.SIGSEGV)
-    finally:
-        resource.setrlimit(resource.RLIMIT_CPU, (soft, hard))
-    allowed = "(`ulimit -t` allows each process 1000000 s of CPU time)"
-    assert named == (f"was ended by SIGKILL {allowed}", "was ended by SIGSEGV")
 
 
 @pytest.mark.slow

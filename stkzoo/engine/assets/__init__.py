@@ -5,7 +5,6 @@ downloads data and :func:`pack` builds the headless pack; the command line calls
 """
 
 from stkzoo.engine.assets.find import (
-    CACHE_VARIABLE,
     DATADIR_VARIABLE,
     PlaceReport,
     cache_folder,
@@ -17,7 +16,6 @@ from stkzoo.engine.assets.staging import Progress
 from stkzoo.engine.assets.tree import Assets
 
 __all__ = [
-    "CACHE_VARIABLE",
     "DATADIR_VARIABLE",
     "Assets",
     "PlaceReport",
