@@ -93,23 +93,6 @@ def test_what_is_odd_about_a_machine_is_named(capsys):
     assert "SDL_VIDEODRIVER=dummy opens no window; unset it" in checks["display"]["found"]
 
 
-@pytest.fixture
-def no_home(monkeypatch):
-    """Sets up a user without a home folder, as in some containers."""
-    for name in ("HOME", "XDG_CACHE_HOME", "STKZOO_CACHE", "SUPERTUXKART_DATADIR"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems find the folder elsewhere")
-@pytest.mark.usefixtures("no_home")
-def test_a_user_without_a_home_is_told_what_to_set(capsys):
-    code, _, checks = report(capsys)
-    assert code == 1
-    expected = "the home folder of this user is unknown; set HOME or STKZOO_CACHE."
-    assert checks["race data"]["found"] == expected
-
-
 def test_a_check_that_fails_itself_is_a_finding(monkeypatch, capsys):
     monkeypatch.setattr("stkzoo.cli.doctor.can_fork", lambda: 1 / 0)
     code, _, checks = report(capsys)

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from stkzoo._imports import python_command
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
-from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder, link_or_copy
-from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
+from stkzoo.engine.assets.staging import Progress, fresh_folder, link_or_copy
+from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_shape, write_marker
 from stkzoo.errors import AssetError
 
 _LOOK_EVERY = 0.1  # [s]
@@ -98,8 +98,7 @@ def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
         progress: receives progress reports.
 
     Raises:
-        AssetError: apt is missing or fails, the disk does not have enough space, or the data is of
-            another version or incomplete.
+        AssetError: apt is missing or fails, or the data is of another version or incomplete.
     """
     if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
         raise AssetError("this machine has no apt-get and dpkg-deb (it is not Debian or Ubuntu).")
@@ -111,7 +110,6 @@ def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
     (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
     _adapt_skin(data / "skins")
     _adapt_fonts(data / "ttf")
-    check_files(target)
     write_marker(target, package.name, headless=False)
 
 
@@ -145,10 +143,9 @@ def _download(work: Path, progress: Progress) -> Path:
     show = ["apt-cache", *options, "show", "--no-all-versions", PACKAGE]
     record = message_from_string(_run(show, folder=work))
     try:
-        size, unpacked = int(record["Size"]), 1024 * int(record["Installed-Size"])
+        size = int(record["Size"])
     except (TypeError, ValueError) as error:
         raise AssetError(f"the package lists do not know {PACKAGE} ({error!r}).") from error
-    check_space(work, size + unpacked + 150_000_000, "the game's data")
     progress.begin(f"downloading {PACKAGE} {record['Version']}", size)
     words = ["apt-get", *options, "download", PACKAGE]
     _run(words, folder=work, watch=lambda: progress.reach(_size_of_packages(work)))
@@ -207,9 +204,6 @@ def _adapt_fonts(fonts: Path) -> None:
 
 _ARCHIVE = f"SuperTuxKart-{ENGINE_DATA_VERSION}-src.tar.gz"
 
-#: Disk space for the archive and its contents [bytes].
-_NEEDED = 1_800_000_000
-
 #: Maximum time without progress before a download is stopped [s].
 _PATIENCE = 90.0
 
@@ -228,7 +222,6 @@ def fetch_upstream(work: Path, progress: Progress) -> None:
     """
     cache = pystk2_cache_folder()
     cache.mkdir(parents=True, exist_ok=True)
-    check_space(cache, _NEEDED, "the game's data")
     progress.begin("downloading with pystk2")
     archive = cache / _ARCHIVE
     watch = _Watch(archive, cache / f"{_ARCHIVE}.tmp", progress)
@@ -245,7 +238,7 @@ def fetch_upstream(work: Path, progress: Progress) -> None:
     except AssetError:
         archive.unlink(missing_ok=True)  # otherwise pystk2 would use the same broken file again
         raise
-    check_files(cache / ENGINE_DATA_VERSION)
+    check_shape(cache / ENGINE_DATA_VERSION)
 
 
 class _Watch:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 from collections.abc import Iterator
@@ -24,14 +23,9 @@ CACHE_VARIABLE = "STKZOO_CACHE"
 
 
 def cache_folder() -> Path:
-    """Returns the folder of stkzoo's cache, which may not exist yet.
-
-    Raises:
-        AssetError: this user has no home folder.
-    """
-    with _needing_home():
-        folder = os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("stkzoo")
-        return Path(folder).expanduser().absolute()
+    """Returns the folder of stkzoo's cache, which may not exist yet."""
+    folder = os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("stkzoo")
+    return Path(folder).expanduser().absolute()
 
 
 def own_folder(name: str) -> Path:
@@ -44,23 +38,8 @@ def own_folder(name: str) -> Path:
 
 
 def pystk2_cache_folder() -> Path:
-    """Returns the folder of ``pystk2``'s own downloads, which may not exist.
-
-    Raises:
-        AssetError: this user has no home folder.
-    """
-    with _needing_home():
-        return Path(platformdirs.user_cache_dir("PySuperTuxKart2", "bpiwowar")).expanduser()
-
-
-@contextlib.contextmanager
-def _needing_home() -> Iterator[None]:
-    try:
-        yield
-    except RuntimeError as error:
-        raise AssetError(
-            f"the home folder of this user is unknown; set HOME or {CACHE_VARIABLE}."
-        ) from error
+    """Returns the folder of ``pystk2``'s own downloads, which may not exist."""
+    return Path(platformdirs.user_cache_dir("PySuperTuxKart2", "bpiwowar")).expanduser()
 
 
 @dataclass(frozen=True)

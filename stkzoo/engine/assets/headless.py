@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import IO, BinaryIO, cast
 
 from stkzoo._os import write_whole
-from stkzoo.engine.assets.scenes import SCENES_VERSION, thin_scenes
-from stkzoo.engine.assets.staging import Progress, check_space, link_or_copy
-from stkzoo.engine.assets.tree import MARKER, check_files, load_assets, write_marker
+from stkzoo.engine.assets.scenes import thin_scenes
+from stkzoo.engine.assets.staging import Progress, link_or_copy
+from stkzoo.engine.assets.tree import MARKER, load_assets, write_marker
 from stkzoo.errors import AssetError
 
 #: Files that a placeholder replaces.
@@ -52,12 +52,11 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
         progress: receives the progress.
 
     Raises:
-        AssetError: the source is incomplete, or the disk has no room.
+        AssetError: a scene of the source cannot be read.
+        OSError: the pack cannot be written.
     """
-    check_files(source)
     files = list(_files(source / "data"))
     kept = sum(path.stat().st_size for path in files if _kind(path) == "keep")
-    check_space(target, kept + 32_000_000, "the headless pack")
     progress.begin("building the headless pack", kept)
     placeholders = _placeholders(target, files)
     done = 0
@@ -72,7 +71,7 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
     for file in placeholders.values():
         file.unlink()
     thin_scenes(target / "data")
-    write_marker(target, "headless pack", headless=True, scenes=SCENES_VERSION)
+    write_marker(target, "headless pack", headless=True)
 
 
 def _placeholders(root: Path, files: list[Path]) -> dict[str, Path]:
@@ -153,14 +152,12 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
     """
     try:
         size = file.stat().st_size
-        check_space(target, 4 * size, "the headless pack")
         progress.begin(f"unpacking {file.name}", size)
         with file.open("rb") as raw, _UnpackedFile(raw, _SMALL + _MAX_RATIO * size) as stream:
             with tarfile.open(fileobj=stream, mode="r:") as archive:
                 _write_members(archive, target, lambda: progress.reach(raw.tell()))
             while stream.read(_MAX_READ):  # the checksum is at the end
                 pass
-        check_files(target)
         is_pack = load_assets(target, "archive").headless
     except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError, RecursionError) as error:
         raise AssetError(

@@ -17,7 +17,6 @@ from stkzoo.engine.assets.find import (
     own_folder,
 )
 from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
-from stkzoo.engine.assets.scenes import SCENES_VERSION
 from stkzoo.engine.assets.staging import Progress, fresh_folder, lock, publish
 from stkzoo.engine.assets.tree import Assets, load_assets
 from stkzoo.errors import AssetError
@@ -82,7 +81,7 @@ def pack(
         ``output``, or by default the folder of the pack.
 
     Raises:
-        AssetError: there is no full data, or not enough disk space.
+        AssetError: there is no full data, or the pack cannot be written.
     """
     progress = progress or Progress()
     if _source_of_pack(replace) is not None:
@@ -166,20 +165,11 @@ def _ensure_pack(replace: bool, progress: Progress) -> None:
 def _source_of_pack(replace: bool) -> Path | None:
     """Returns the root of the data from which to build the headless pack; ``None`` to keep it.
 
-    A pack whose scenes are of another version works, and stays if there is no full data.
-
     Raises:
         AssetError: there is neither a pack nor full data.
     """
-    there = None
     if not replace:
         with contextlib.suppress(AssetError):
-            there = load_assets(own_folder("headless"), "headless pack")
-    if there is not None and there.scenes == SCENES_VERSION:
-        return None
-    try:
-        return find_assets(graphics=True).root
-    except AssetError:
-        if there is None:
-            raise
-        return None
+            load_assets(own_folder("headless"), "headless pack")
+            return None
+    return find_assets(graphics=True).root

@@ -39,8 +39,7 @@ from stkzoo.engine.assets.mesh import read_textures
 from stkzoo.engine.assets.tree import is_true, parse_xml
 from stkzoo.errors import AssetError
 
-#: Version of the rules in this module.
-SCENES_VERSION = 1
+# A change of the rules in this module needs another ``_LAYOUT`` in ``tree.py``.
 
 _WITHOUT_BODY = ("ghost", "none")
 #: Elements that are only seen.

@@ -122,22 +122,3 @@ def link_or_copy(path: Path, goal: Path) -> None:
         os.link(path.resolve(), goal)
     except OSError:
         shutil.copyfile(path, goal)
-
-
-def check_space(folder: Path, needed: int, purpose: str) -> None:
-    """Checks that the disk has enough free space.
-
-    Args:
-        folder: destination of the files.
-        needed: required space [bytes].
-        purpose: what needs the space, as subject of the error text.
-
-    Raises:
-        AssetError: the disk does not have enough space.
-    """
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise AssetError(
-            f"{purpose} needs {needed / 1e6:.0f} MB, but {folder} has {free / 1e6:.0f} MB "
-            f"free. Make room, or set STKZOO_CACHE to a folder on a larger disk."
-        )

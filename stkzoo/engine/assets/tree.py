@@ -31,8 +31,6 @@ class Assets:
             races but cannot draw them.
         tracks: names of the race tracks, sorted.
         karts: names of the kart models, sorted.
-        scenes: version of the rules by which its scenes were thinned
-            (:mod:`stkzoo.engine.assets.scenes`); 0 if they are whole.
     """
 
     root: Path
@@ -40,28 +38,26 @@ class Assets:
     headless: bool
     tracks: tuple[str, ...]
     karts: tuple[str, ...]
-    scenes: int = 0
 
 
-#: Version of the layout of trees that stkzoo makes.
+#: Version of the trees that stkzoo makes, and of the rules by which it thins scenes.
 _LAYOUT = 1
 #: Maximum size of the marker and of an XML file [bytes]. The game's largest XML file has 650 kB.
 _MAX_MARKER, _MAX_XML = 1 << 20, 8 << 20
 
 
-def write_marker(root: Path, origin: str, *, headless: bool, scenes: int = 0) -> None:
+def write_marker(root: Path, origin: str, *, headless: bool) -> None:
     """Writes the marker of a finished tree, with the names of its tracks and karts.
 
     Args:
         root: the tree.
         origin: the source of the tree, such as the name of a package.
         headless: as in :class:`Assets`.
-        scenes: as in :class:`Assets`.
 
     Raises:
         AssetError: the tree is not usable.
     """
-    marker = _Marker(_LAYOUT, origin, headless, *read_catalog(root), scenes)
+    marker = _Marker(_LAYOUT, origin, headless, *read_catalog(root))
     text = json.dumps(asdict(marker), indent=1, sort_keys=True)
     (root / MARKER).write_text(text + "\n", encoding="utf-8")
     check_shape(root)
@@ -102,7 +98,6 @@ class _Marker:
     headless: bool
     tracks: tuple[str, ...]
     karts: tuple[str, ...]
-    scenes: int = 0
 
 
 def check_shape(root: Path) -> _Marker | None:
@@ -187,29 +182,6 @@ def parse_xml(path: Path) -> ET.Element:
         raise AssetError(f"{path} cannot be read: {error}.") from error
 
 
-def check_files(root: Path) -> None:
-    """Checks the files of every race track and kart. This takes at most one second.
-
-    Args:
-        root: the folder that contains ``data``.
-
-    Raises:
-        AssetError: a file is missing, empty or broken; the message names the first one.
-    """
-    check_shape(root)
-    tracks, karts = read_catalog(root)
-    needed: dict[str, tuple[str, ...]]
-    needed = {f"tracks/{name}": ("graph.xml", "quads.xml", "scene.xml") for name in tracks}
-    needed |= {f"karts/{name}": ("kart.xml",) for name in karts}
-    for name, files in needed.items():
-        folder = root / "data" / name
-        for file in files:
-            parse_xml(folder / file)
-        for model in folder.glob("*.spm"):
-            if model.stat().st_size == 0:
-                raise AssetError(f"{model} is empty.")
-
-
 def load_assets(root: Path, source: str) -> Assets:
     """Returns the assets in a folder, checked by :func:`check_shape`.
 
@@ -223,4 +195,4 @@ def load_assets(root: Path, source: str) -> Assets:
     marker = check_shape(root)
     if marker is None:
         return Assets(root, source, False, *read_catalog(root))
-    return Assets(root, source, marker.headless, marker.tracks, marker.karts, marker.scenes)
+    return Assets(root, source, marker.headless, marker.tracks, marker.karts)
