@@ -69,13 +69,6 @@ class RaceStart:
         return cls(tuple(json.loads(kart_types)), track, Snapshot(snapshot))
 
 
-def engine_is_initialized() -> bool:
-    """Returns whether the engine is started in this process, by stkzoo or by the program."""
-    import pystk2
-
-    return bool(pystk2.list_karts())
-
-
 def init_engine(graphics: str = '{"preset": "none"}') -> None:
     """Starts the engine in this process. A second call would crash it.
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +20,10 @@ from stkzoo.engine.process import (
     RaceProcess,
     engine_environment,
     explain_os_errors,
-    open_log,
     start_remedy,
     tail,
 )
-from stkzoo.engine.race import GameRace, RaceStart, engine_is_initialized, init_engine
+from stkzoo.engine.race import GameRace, RaceStart, init_engine
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
@@ -304,11 +301,10 @@ class LocalSession(Session):
                 "at a time, and another environment's race is running; close that "
                 "environment first, or leave use_subprocess at True"
             )
-        _check_program()
-        with explain_os_errors(), _quiet_output():
+        with explain_os_errors():
             _init_here(self._root)
-            self._race = GameRace(setup)
-            return self._race.begin()
+        self._race = GameRace(setup)
+        return self._race.begin()
 
     def step_async(self, controls: Controls) -> None:
         """See :meth:`Session.step_async`. Here, :meth:`step_wait` simulates the step."""
@@ -333,59 +329,8 @@ class LocalSession(Session):
         self.close()
 
 
-@contextlib.contextmanager
-def _quiet_output() -> Iterator[None]:
-    """Redirects the game's output from the terminal to a log, which errors include.
-
-    Raises:
-        EngineError: the game raised an error.
-    """
-    log = open_log()
-    _flush_c_streams()
-    originals = {stream: os.dup(stream) for stream in (1, 2)}
-    try:
-        for stream in originals:
-            os.dup2(log.fileno(), stream)
-        yield
-    except EngineError:
-        raise
-    except Exception as error:
-        raise EngineError(f"the game reported an error: {error!r}", tail(log)) from error
-    finally:
-        _flush_c_streams()  # otherwise the game's output appears when this program ends
-        for stream, original in originals.items():
-            os.dup2(original, stream)
-            os.close(original)
-        log.close()
-
-
-def _flush_c_streams() -> None:
-    ctypes.CDLL(None).fflush(None)
-
-
 #: Whether :func:`_init_here` has started the engine in this process.
 _has_started = False
-
-
-def _check_program() -> None:
-    """Checks that this program does not use the engine itself, which would crash it.
-
-    Raises:
-        ApiOrderError: the program has started or stopped the engine, or has a race.
-    """
-    import pystk2
-
-    if engine_is_initialized() != _has_started:
-        call = "clean" if _has_started else "init"
-        raise ApiOrderError(
-            "use_subprocess=False cannot start the game in this process, because the program has "
-            f"called pystk2.{call}(); leave use_subprocess at True, or remove that call"
-        )
-    if pystk2.is_running():
-        raise ApiOrderError(
-            "use_subprocess=False runs the game in this process, which can hold one race at a "
-            "time, and the program has a pystk2.Race; delete it, or leave use_subprocess at True"
-        )
 
 
 def _init_here(root: Path) -> None:
@@ -396,8 +341,6 @@ def _init_here(root: Path) -> None:
     global _has_started
     if _has_started:
         return
-    import pystk2
-
     home = TemporaryFolder("home")
     environment = dict(os.environ)
     os.environ.update(engine_environment(root, str(home.path)))
@@ -407,16 +350,3 @@ def _init_here(root: Path) -> None:
         os.environ.clear()
         os.environ.update(environment)
     _has_started = True
-    pystk2.init = _refuse_init
-
-
-def _refuse_init(*_: object) -> None:
-    """Replaces ``pystk2.init``, whose second call crashes a program.
-
-    Raises:
-        ApiOrderError: always.
-    """
-    raise ApiOrderError(
-        "pystk2.init() crashes a program that calls it twice, and stkzoo has called it for "
-        "use_subprocess=False; remove this call, or leave use_subprocess at True"
-    )
