@@ -2,10 +2,8 @@
 
 import functools
 import os
-import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import warnings
@@ -19,7 +17,6 @@ from PIL import ImageGrab
 
 import stkzoo  # noqa: F401 - registers the ids
 from stkzoo import AgentSpec, race_v0
-from stkzoo._os import check_display
 from stkzoo.engine import render_session
 from stkzoo.engine.assets import DATADIR_VARIABLE
 from stkzoo.errors import ConfigError, EngineCrashed
@@ -122,44 +119,12 @@ def test_a_window_without_a_display_is_refused_at_reset():
             env.reset()
 
 
-@pytest.fixture
-def answering(tmp_path):
-    """Returns the values of DISPLAY and WAYLAND_DISPLAY of servers that accept connections."""
-    wayland = str(tmp_path / "wayland-1")
-    with socket.socket(socket.AF_UNIX) as local, socket.create_server(("127.0.0.1", 0)) as remote:
-        local.bind(wayland)
-        local.listen()
-        yield {"wayland": wayland, "x": f"127.0.0.1:{remote.getsockname()[1] - 6000}.0"}
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems always have a display")
-@pytest.mark.parametrize(
-    ("variables", "problem"),
-    [
-        ({"DISPLAY": "{x}"}, ""),
-        ({"WAYLAND_DISPLAY": "{wayland}"}, ""),
-        ({"DISPLAY": ":4095", "WAYLAND_DISPLAY": "{wayland}", "SDL_VIDEODRIVER": ""}, ""),
-        ({"DISPLAY": "{x}", "SDL_VIDEODRIVER": "wayland,X11"}, ""),
-        ({"SDL_VIDEODRIVER": "kmsdrm"}, ""),
-        ({"SDL_VIDEODRIVER": "dummy"}, "SDL_VIDEODRIVER=dummy opens no window; unset it"),
-        ({"DISPLAY": "{x}", "SDL_VIDEODRIVER": "offscreen"}, "SDL_VIDEODRIVER=offscreen opens no"),
-        ({"SDL_VIDEODRIVER": "x11"}, "no display is named by DISPLAY"),
-        ({"WAYLAND_DISPLAY": "gone"}, "no display answers at WAYLAND_DISPLAY=gone"),
-        ({"DISPLAY": ":4095"}, "no display answers at DISPLAY=:4095"),
-        ({"DISPLAY": "unix:4095.0"}, "no display answers at DISPLAY=unix:4095.0"),
-        ({"DISPLAY": "127.0.0.1:99999"}, "no display answers at DISPLAY=127.0.0.1:99999"),
-        ({"DISPLAY": "screen"}, "no display answers at DISPLAY=screen"),
-    ],
-)
+@pytest.mark.parametrize("variable", ["DISPLAY", "WAYLAND_DISPLAY"])
 @pytest.mark.usefixtures("no_display")
-def test_human_is_a_render_mode_where_a_display_answers(variables, problem, answering, monkeypatch):
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value.format(**answering))
+def test_human_is_a_render_mode_where_a_display_is_named(variable, monkeypatch):
+    monkeypatch.setenv(variable, ":4095")
     with small_race() as env:
-        assert ("human" in env.metadata["render_modes"]) == (not problem)
-    if problem:
-        with pytest.raises(ConfigError, match=re.escape(problem)):
-            check_display("a window")
+        assert "human" in env.metadata["render_modes"]
 
 
 @pytest.mark.usefixtures("no_display")
@@ -171,7 +136,7 @@ def test_environments_pass_gymnasiums_checks_with_sdls_dummy_driver(monkeypatch)
         check_env(env.unwrapped)
     env.close()
     window = gym.make("supertuxkart/simple-v0", track="lighthouse", render_mode="human")
-    with pytest.raises(ConfigError, match="SDL_VIDEODRIVER=dummy opens no window"):
+    with pytest.raises(ConfigError, match="no display is named by DISPLAY"):
         window.reset()
     window.close()
 
@@ -182,7 +147,6 @@ def test_a_window_on_a_display_that_ends_is_an_error(monkeypatch):
     if who_draws() == "map":
         pytest.skip("no graphics libraries here; missing ones have a test of their own")
     monkeypatch.setenv("DISPLAY", ":4095")
-    monkeypatch.setattr("stkzoo._os._answers", lambda *_: True)
     with (
         small_race(render_mode="human", render_size=SMALL) as env,
         pytest.raises(EngineCrashed, match=r"could not open its window; .* `xvfb-run`"),
