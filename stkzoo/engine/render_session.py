@@ -181,7 +181,7 @@ class RenderSession(ProcessSession):
         return Footage(*(np.frombuffer(data, dtype).reshape(shape) for data, dtype, shape in parts))
 
     def _request(self, tag: bytes, *data: bytes) -> list[bytes]:
-        with self._turn.of("render"):
+        with self._turn:
             try:
                 self._send(tag, *data)
                 return self._receive(tag)

@@ -69,7 +69,7 @@ class RaceFront(EzPickle):
 
     def close(self) -> None:
         """Stops the game process. You may call ``reset`` again."""
-        with self.live_race.turn.of("close"):
+        with self.live_race.turn:
             self.live_race.close()
 
     @property
@@ -133,7 +133,7 @@ class RaceFront(EzPickle):
             AgentException: an agent's wrapper holds an object that cannot be copied.
             EngineError: this platform cannot fork races, or the game crashed.
         """
-        with self.live_race.turn.of("save_state"):
+        with self.live_race.turn:
             return self.live_race.save()
 
     def restore_state(self, state: RaceState) -> None:
@@ -153,7 +153,7 @@ class RaceFront(EzPickle):
             EngineError: this platform cannot fork races, or the state's process has ended; this
                 environment's race continues.
         """
-        with self.live_race.turn.of("restore_state"):
+        with self.live_race.turn:
             self.live_race.restore(state)
 
     def follow(self, other: Self) -> None:
@@ -169,7 +169,7 @@ class RaceFront(EzPickle):
             EngineError: this platform cannot fork races, or the game crashed.
         """
         check_type("other", other, RaceFront, "an environment of one race")
-        with self.live_race.turn.of("follow"), other.live_race.turn.of("clone"):
+        with self.live_race.turn, other.live_race.turn:
             self.live_race.follow(other.live_race)
 
     def scenario(self) -> Scenario:

@@ -383,12 +383,12 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
-        with self.core.live_race.turn.of("reset"):
+        with self.core.live_race.turn:
             observations, infos = self._reset_core(seed, options)
             return self._completed(observations, self.core.observe), self._info(infos, {}, {})
 
     def _step(self, action: Mapping[str, Any]) -> GymnasiumStep:
-        with self.core.live_race.turn.of("step"):
+        with self.core.live_race.turn:
             observations, rewards, _, truncations, infos = self._step_by_number(action)
             return (
                 self._completed(observations, self.core.observe),

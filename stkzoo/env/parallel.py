@@ -204,7 +204,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             EngineError: the game does not start.
         """
         race = self.live_race
-        with race.turn.of("reset"):
+        with race.turn:
             if seed is not None:
                 race.np_random = random_stream(seed)
             return race.start(seed, {} if options is None else options)
@@ -230,15 +230,9 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
         race = self.live_race
-        turn = race.turn
-        if not turn.lock.acquire(blocking=False):
-            raise turn.conflict("step")
-        turn.call = "step"
-        try:
+        with race.turn:
             race.request(actions)
             return race.finish()
-        finally:
-            turn.lock.release()
 
     def step_async(self, actions: Mapping[str, Any]) -> None:
         """Starts a step and returns while the game computes it.
@@ -254,7 +248,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``, or twice without :meth:`step_wait`.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
-        with self.live_race.turn.of("step_async"):
+        with self.live_race.turn:
             self.live_race.request(actions)
 
     def step_wait(self) -> StepParts:
@@ -264,7 +258,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             ApiOrderError: called without :meth:`step_async`.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
-        with self.live_race.turn.of("step_wait"):
+        with self.live_race.turn:
             return self.live_race.finish()
 
     def state(self) -> npt.NDArray[np.float32]:

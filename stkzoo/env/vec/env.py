@@ -218,7 +218,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         Raises:
             ApiOrderError: called after ``close``, or while another thread's call runs.
         """
-        with self._turn.of("reset"):
+        with self._turn:
             self._require_open("reset")
             seeds = seeds_of_races(seed, self.num_races)
             if self._repeated is not None:
@@ -254,7 +254,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ApiOrderError: called after ``close``, or while another thread's call runs; or no agent
                 was racing any more at the moment of a state or scenario.
         """
-        with self._turn.of("set_options"):
+        with self._turn:
             self._require_open("set_options")
             if options is None or isinstance(options, Mapping):
                 options = [options] * self.num_races
@@ -286,7 +286,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ApiOrderError: called before ``reset``, after ``close``, or while another thread's call
                 runs.
         """
-        with self._turn.of("step"):
+        with self._turn:
             self.step_async(actions)
             return self.step_wait()
 
@@ -300,7 +300,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ActionError: an action is invalid; no race has advanced.
             ApiOrderError: called before ``reset``, after ``close``, or twice in a row.
         """
-        with self._turn.of("step_async"):
+        with self._turn:
             self._require_open("step")
             races = [row.race for row in self._rows]
             checked: Sequence[CheckedActions | None] = [
@@ -338,7 +338,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             AgentException: a wrapper failed; ``reset`` starts a new race.
             ApiOrderError: called without :meth:`step_async`, or while another thread's call runs.
         """
-        with self._turn.of("step_wait"):
+        with self._turn:
             steps = SlotSteps(self._form, self.num_envs)
             for row in self._rows:
                 row.step_wait(steps)
@@ -352,7 +352,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def close_extras(self, **_: Any) -> None:
         """Stops the game processes; called by :meth:`close`."""
-        with self._turn.of("close"):
+        with self._turn:
             for row in getattr(self, "_rows", ()):
                 row.close()
 

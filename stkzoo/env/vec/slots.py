@@ -243,7 +243,7 @@ class RaceSlots:
         try:
             if self._failure is not None:
                 raise self._failure
-            with self.race.turn.of("step_wait"):
+            with self.race.turn:
                 left = self._advance(steps)
         except (EngineCrashed, EngineTimeout) as error:
             self._report(error, "its slots are truncated, and it is replaced")
