@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo.env.vec.env import RaceVectorEnv
-from stkzoo.env.vec.slots import SlotInfos, SlotSteps
+from stkzoo.env.vec.slots import SlotSteps
 from stkzoo.env.vec.starts import seeds_of_races
 from stkzoo.errors import ConfigError
 
@@ -34,10 +34,10 @@ class RaceVecEnv(VecEnv):
     :class:`~stkzoo.sb3.ActiveRolloutBuffer` with ``flat_observations``). Idle steps still count as
     timesteps.
 
-    **Infos** are one mapping per slot, whose ``copy()`` is a dict: the agent's own entries,
-    ``active`` and ``track``. At the end of an episode they also hold ``terminal_observation``,
-    ``TimeLimit.truncated`` and ``episode`` (return ``r``, length ``l``, and time ``t`` since
-    construction [s]). Stable-Baselines3 logs its means from ``episode``, without a ``VecMonitor``.
+    **Infos** are one dict per slot: the agent's own entries, ``active`` and ``track``. At the end
+    of an episode they also hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
+    (return ``r``, length ``l``, and time ``t`` since construction [s]). Stable-Baselines3 logs its
+    means from ``episode``, without a ``VecMonitor``.
 
     Args:
         num_races: number of races.
@@ -142,7 +142,7 @@ class RaceVecEnv(VecEnv):
                     "are in one race; give all slots of a race the same options"
                 )
         steps = self.races.reset_slots(seeds, options)
-        self.reset_infos = [self._first_info(steps, slot) for slot in range(self.num_envs)]
+        self.reset_infos = self._infos(steps)
         return self._batch(steps.observations)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
@@ -163,15 +163,11 @@ class RaceVecEnv(VecEnv):
         """
         steps = self.races.wait_slots()
         done = steps.terminations | steps.truncations | ~steps.active
-        tracks = [self.races.tracks[number] for number in steps.tracks]
-        added = {track: {"track": track, "active": True} for track in {*tracks}}
-        infos: list[Any] = [
-            SlotInfo(steps.infos, slot, added[track]) for slot, track in enumerate(tracks)
-        ]
+        infos = self._infos(steps)
         for slot in np.flatnonzero(done).tolist():
-            if steps.infos.keys_of(slot):  # the slot's race has started again
-                self.reset_infos[slot] = self._first_info(steps, slot)
-            infos[slot] = self._ended(steps, slot, tracks[slot])
+            if infos[slot]["active"]:  # the slot's race has started again
+                self.reset_infos[slot] = infos[slot]
+            infos[slot] = self._ended(steps, slot)
         return self._batch(steps.observations), steps.rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
@@ -210,19 +206,20 @@ class RaceVecEnv(VecEnv):
     def _race(self, slot: int) -> Any:
         return self.races.races[slot // self.races.num_agents]
 
-    def _first_info(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
-        """Returns the info of a slot after a reset."""
-        track = self.races.tracks[steps.tracks[slot]]
-        is_racing = bool(steps.infos.keys_of(slot))
-        return SlotInfo(steps.infos, slot, {"track": track, "active": is_racing}).copy()
+    def _infos(self, steps: SlotSteps) -> list[dict[str, Any]]:
+        """Returns the info of each slot for its observation; of an idle slot, only its track."""
+        infos = steps.infos.dicts()
+        for info, number in zip(infos, steps.tracks.tolist(), strict=True):
+            info.update(track=self.races.tracks[number], active=bool(info))
+        return infos
 
-    def _ended(self, steps: SlotSteps, slot: int, track: str) -> dict[str, Any]:
+    def _ended(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
         """Returns the info of a slot whose episode ended in this step, or which is idle."""
         last, info = steps.finals.get(slot) or (copy.deepcopy(self.races.idle_observation), {})
         age = round(time.monotonic() - self._born, 6)
         episode = {"episode": {**info["episode"], "t": age}} if "episode" in info else {}
         return {
-            "track": track,
+            "track": self.races.tracks[steps.tracks[slot]],
             **info,
             **episode,
             "active": bool(steps.active[slot]),
@@ -235,51 +232,6 @@ class RaceVecEnv(VecEnv):
             return batch
         flat = np.concatenate(_flat_parts(self._space, batch, self.num_envs), axis=1)
         return flat.astype(self.observation_space.dtype, copy=False)
-
-
-class SlotInfo(Mapping[str, Any]):
-    """Info of a slot at one moment: values are read from the step's arrays on demand.
-
-    ``copy()`` returns a dict.
-
-    Args:
-        infos: infos of all slots.
-        slot: number of the slot.
-        added: further entries, which take precedence.
-    """
-
-    __slots__ = ("_added", "_infos", "_keys", "_slot")
-
-    def __init__(self, infos: SlotInfos, slot: int, added: Mapping[str, Any]) -> None:
-        self._infos, self._slot, self._added = infos, slot, added
-        self._keys = infos.keys_of(slot)
-
-    def __getitem__(self, key: str) -> Any:
-        if key in self._added:
-            return self._added[key]
-        return self._infos.value(self._slot, key)
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._keys or key in self._added
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """Returns the value of a key, or the default. Learners ask every slot in every step."""
-        if key in self._keys or key in self._added:
-            return self[key]
-        return default
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._keys, *self._added)))
-
-    def __len__(self) -> int:
-        return len({*self._keys, *self._added})
-
-    def __repr__(self) -> str:
-        return repr(self.copy())
-
-    def copy(self) -> dict[str, Any]:
-        """Returns the info as a new dict."""
-        return {key: self[key] for key in self}
 
 
 def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.NDArray[Any]]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import os
-import pickle
 import signal
 
 import gymnasium as gym
@@ -211,21 +209,15 @@ def test_idle_steps_of_races_are_not_learned_from():
     envs.close()
 
 
-def test_the_info_of_a_slot_is_a_mapping(make):
+def test_the_info_of_a_slot_is_a_dict_of_python_values(make):
     envs = make(max_cycles=3)
     envs.reset()
     info = envs.step(np.full(4, 700))[3][3]
-    values = info.copy()
-    assert type(values) is dict
-    assert info == values == dict(info) == {**info}
-    assert list(info) == list(values)
+    assert type(info) is dict
     assert (info["episode/length"], info["track"], info["active"]) == (1, "olivermath", True)
     assert type(info["position"]) is int
     assert type(info["distance"]) is float
-    assert (info.get("episode", 7), info.get("lap")) == (7, values["lap"])
     assert "terminal_observation" not in info
-    with pytest.raises(KeyError, match="episode"):
-        info["episode"]
-    assert pickle.loads(pickle.dumps(info)) == copy.deepcopy(info) == values
+    before = info.copy()
     envs.step(np.full(4, 700))
-    assert info.copy() == values
+    assert info == before

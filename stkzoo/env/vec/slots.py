@@ -6,7 +6,7 @@ The results of a step are rows of arrays: observations, rewards, ends and infos 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -128,20 +128,17 @@ class SlotInfos:
             columns = add(columns, dict(info), slot)
         return columns
 
-    def keys_of(self, slot: int) -> Collection[str]:
-        """Returns the keys of a slot's info; none if it is idle."""
-        return tuple(self._values_of(slot))
-
-    def value(self, slot: int, key: str) -> Any:
-        """Returns one value of a slot's info; raises ``KeyError`` if there is none."""
-        value = self._values_of(slot)[key]
-        return value if slot in self._dicts else value[slot].item()
-
-    def _values_of(self, slot: int) -> Mapping[str, Any]:
-        """Returns a slot's info, or the columns of the table that has it."""
-        if slot in self._dicts:
-            return self._dicts[slot]
-        return next((table.columns for table in self._tables.values() if table.has[slot]), {})
+    def dicts(self) -> list[dict[str, Any]]:
+        """Returns the info of each slot as a new dict of Python values; empty if it is idle."""
+        infos: list[dict[str, Any]] = [{} for _ in range(self._count)]
+        for table in self._tables.values():
+            rows = zip(*(values.tolist() for values in table.columns.values()), strict=True)
+            for slot, row in enumerate(rows):
+                if table.has[slot]:
+                    infos[slot] = dict(zip(table.columns, row, strict=True))
+        for slot, info in self._dicts.items():
+            infos[slot] = dict(info)
+        return infos
 
 
 def _with_tuples(batch: Any) -> Any:
