@@ -327,12 +327,9 @@ def act_together(actors: Sequence[Actor], observations: Sequence[Any]) -> Sequen
         observations: one observation per actor.
     """
     actor: Any = actors[0]
-    seen, wanted = actor.observation_space, getattr(actor.policy, "observation_space", None)
-    if isinstance(seen, spaces.Dict) and isinstance(wanted, spaces.Box):  # SB3 flat_observations
-        flat: list[Any] = [spaces.flatten(seen, observation) for observation in observations]
-        batch: Any = np.stack(flat).astype(wanted.dtype)
-    elif isinstance(seen, spaces.Dict):
-        batch = {key: np.stack([entry[key] for entry in observations]) for key in seen.spaces}
+    seen = actor.observation_space
+    if isinstance(seen, spaces.Dict):
+        batch: Any = {key: np.stack([entry[key] for entry in observations]) for key in seen.spaces}
     else:
         batch = np.stack(observations)
     actions, _ = actor.policy.predict(batch, deterministic=True)

@@ -136,5 +136,5 @@ def _check_inputs(model: OnPolicyAlgorithm, view: str) -> None:
             raise ConfigError(
                 f"the model's {what} are {shortened(value)}, and those of the view {view!r} are "
                 f"{shortened(expected)}; give the view in which it was trained, without wrappers "
-                f"that change {what} and without flat_observations"
+                f"that change {what}"
             )

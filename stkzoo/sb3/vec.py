@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import gymnasium as gym
@@ -31,8 +31,8 @@ class RaceVecEnv(VecEnv):
     each of its steps is an episode of length one, so no value is bootstrapped between idle and real
     steps. To exclude idle steps from updates, pass
     ``rollout_buffer_class=ActiveDictRolloutBuffer`` to the algorithm (or
-    :class:`~stkzoo.sb3.ActiveRolloutBuffer` with ``flat_observations``). Idle steps still count as
-    timesteps.
+    :class:`~stkzoo.sb3.ActiveRolloutBuffer` if observations are a ``Box``). Idle steps still count
+    as timesteps.
 
     **Infos** are one dict per slot: the agent's own entries, ``active`` and ``track``. At the end
     of an episode they also hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
@@ -44,9 +44,6 @@ class RaceVecEnv(VecEnv):
         view: see :class:`~stkzoo.env.vec.env.RaceVectorEnv`. Actions must be a single array, as in
             ``flattened_discrete``, ``flattened_multidiscrete`` and
             ``flattened_continuous_actions``.
-        flat_observations: flatten each observation to one ``Box``, like
-            :func:`gymnasium.spaces.flatten`, for ``"MlpPolicy"``. By default, observations keep the
-            form of the view, for ``"MultiInputPolicy"``.
         prefetch: see :class:`~stkzoo.env.vec.env.RaceVectorEnv`.
         num_starts: likewise.
         **options: options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
@@ -66,7 +63,6 @@ class RaceVecEnv(VecEnv):
         num_races: int = 1,
         *,
         view: Any = "flattened_discrete",
-        flat_observations: bool = False,
         prefetch: bool | None = None,
         num_starts: int | None = None,
         **options: Any,
@@ -84,15 +80,9 @@ class RaceVecEnv(VecEnv):
                 "an array: choose flattened_discrete, flattened_multidiscrete or "
                 "flattened_continuous_actions"
             )
-        self._space = self.races.single_observation_space
-        self._is_flat = flat_observations
         self._race_seeds: list[int | None] = [None] * num_races
         self._born = time.monotonic()
-        super().__init__(
-            self.races.num_envs,
-            spaces.flatten_space(self._space) if flat_observations else self._space,
-            actions,
-        )
+        super().__init__(self.races.num_envs, self.races.single_observation_space, actions)
 
     @property
     def num_crashes(self) -> int:
@@ -143,7 +133,7 @@ class RaceVecEnv(VecEnv):
                 )
         steps = self.races.reset_slots(seeds, options)
         self.reset_infos = self._infos(steps)
-        return self._batch(steps.observations)
+        return steps.observations
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Starts a step of all races and returns before it is done.
@@ -168,7 +158,7 @@ class RaceVecEnv(VecEnv):
             if infos[slot]["active"]:  # the slot's race has started again
                 self.reset_infos[slot] = infos[slot]
             infos[slot] = self._ended(steps, slot)
-        return self._batch(steps.observations), steps.rewards.astype(np.float32), done, infos
+        return steps.observations, steps.rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
         """Stops the game processes."""
@@ -223,28 +213,6 @@ class RaceVecEnv(VecEnv):
             **info,
             **episode,
             "active": bool(steps.active[slot]),
-            "terminal_observation": spaces.flatten(self._space, last) if self._is_flat else last,
+            "terminal_observation": last,
             "TimeLimit.truncated": bool(steps.truncations[slot]),
         }
-
-    def _batch(self, batch: Any) -> Any:
-        if not self._is_flat:
-            return batch
-        flat = np.concatenate(_flat_parts(self._space, batch, self.num_envs), axis=1)
-        return flat.astype(self.observation_space.dtype, copy=False)
-
-
-def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.NDArray[Any]]:
-    """Flattens each row as :func:`gymnasium.spaces.flatten` does, one array per part."""
-    if isinstance(space, spaces.Dict):
-        parts: Mapping[str, spaces.Space[Any]] = space.spaces
-        return [flat for key in parts for flat in _flat_parts(parts[key], batch[key], count)]
-    if isinstance(space, spaces.Text):
-        return [np.stack([np.asarray(spaces.flatten(space, text)) for text in batch])]
-    if isinstance(space, spaces.Discrete):
-        return [np.eye(int(space.n))[batch - space.start]]
-    if isinstance(space, spaces.MultiDiscrete):
-        numbers = (batch - space.start).reshape(count, -1).T
-        sizes = space.nvec.reshape(-1).tolist()
-        return [np.eye(size)[number] for size, number in zip(sizes, numbers, strict=True)]
-    return [np.asarray(batch).reshape(count, -1)]

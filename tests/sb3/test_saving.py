@@ -19,10 +19,8 @@ from stkzoo.sb3 import RaceVecEnv, save_agent
 def make():
     made = []
 
-    def made_by(view, policy="MlpPolicy", wrap=lambda envs: envs, flat=False, **options):
-        made.append(
-            RaceVecEnv(1, num_kart=1, track="olivermath", view=view, flat_observations=flat)
-        )
+    def made_by(view, policy="MlpPolicy", wrap=lambda envs: envs, **options):
+        made.append(RaceVecEnv(1, num_kart=1, track="olivermath", view=view))
         envs = wrap(made[-1])
         return PPO(policy, envs, n_steps=8, batch_size=8, seed=1, device="cpu", **options)
 
@@ -110,7 +108,6 @@ def test_scaled_observations_are_refused_but_not_scaled_rewards(make, tmp_path):
     [
         ("racing", "box_discrete", {}),
         ("racing", "racing", {"wrap": lambda envs: VecFrameStack(envs, 2)}),
-        ("flattened_discrete", "flattened_discrete", {"flat": True}),
     ],
 )
 def test_a_view_with_other_observations_is_refused(trained, given, options, make, tmp_path):

@@ -8,7 +8,6 @@ import signal
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
@@ -75,9 +74,8 @@ def test_it_returns_the_same_as_the_gymnasium_vector(make):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flat", [False, True])
-def test_infos_describe_the_end_of_an_episode(make, flat):
-    envs = make(flat_observations=flat)
+def test_infos_describe_the_end_of_an_episode(make):
+    envs = make()
     envs.reset()
     returns = np.zeros(4)
     for _ in range(30):
@@ -114,18 +112,6 @@ def test_an_agent_that_finishes_is_done_and_then_has_empty_episodes():
     assert not infos[first]["active"]
     assert infos[1 - first]["active"]
     envs.close()
-
-
-@pytest.mark.slow
-def test_flat_observations_are_those_of_gymnasium(make):
-    flat, plain = make(flat_observations=True), make()
-    for envs in (flat, plain):
-        envs.seed(3)
-    batch, dicts = flat.reset(), plain.reset()
-    rows = [{key: column[slot] for key, column in dicts.items()} for slot in range(4)]
-    expected = [spaces.flatten(plain.observation_space, each) for each in rows]
-    assert same(batch, np.stack(expected))
-    assert flat.observation_space.contains(batch[0])
 
 
 def test_each_slot_has_the_seed_of_its_race(make):
