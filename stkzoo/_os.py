@@ -91,7 +91,7 @@ def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
     file = Path(path)
     try:
         problem = _problem_of(file)
-    except (OSError, UnicodeEncodeError) as error:
+    except OSError as error:
         problem = f"{reason(error)}; choose another name"
     if problem:
         raise ConfigError(f"{noun} cannot be written to {str(path)!r}: {problem}")
@@ -127,7 +127,7 @@ def using_folder(folder: Path, noun: str) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, UnicodeEncodeError) as error:
+    except OSError as error:
         is_file = isinstance(error, FileExistsError)  # mkdir's answer to a file
         why = os.strerror(errno.ENOTDIR) if is_file else reason(error)
         raise ConfigError(
@@ -200,7 +200,7 @@ def write_whole(
 def writing(
     path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
 ) -> Iterator[None]:
-    """Converts an OSError, or a name that is no path, of a block that writes a file.
+    """Converts an OSError of a block that writes a file.
 
     Args:
         path: the file.
@@ -212,7 +212,7 @@ def writing(
     """
     try:
         yield
-    except (OSError, UnicodeEncodeError) as error:
+    except OSError as error:
         why = str(error) if getattr(error, "filename", None) else reason(error)
         raise error_type(f"{noun} {path} cannot be written: {why}".lstrip()) from error
 

@@ -66,7 +66,7 @@ def reading(
 
 
 def _why(error: Exception) -> str:
-    if isinstance(error, (OSError, StkzooError, UnicodeEncodeError, Unreadable)):
+    if isinstance(error, (OSError, StkzooError, Unreadable)):
         text = reason(error)
     elif isinstance(error, msgspec.MsgspecError):
         text = str(error)
@@ -98,21 +98,6 @@ def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes
     if len(data) > max_bytes:
         raise Unreadable(f"it has more than {max_bytes:,} bytes")
     return data
-
-
-def is_there(path: str | os.PathLike[str]) -> bool:
-    """Returns whether a file or folder exists; ``False`` for a text that is not a valid path.
-
-    Raises:
-        ConfigError: the locale has no file names with its letters.
-    """
-    try:
-        os.fsencode(path)  # exists() returns False for a text that is no file name
-        return Path(path).exists()
-    except UnicodeEncodeError as error:
-        raise ConfigError(f"the path {path!r} cannot be used: {reason(error)}") from error
-    except (OSError, ValueError):
-        return False
 
 
 def check_file(path: str | os.PathLike[str], max_bytes: int) -> int:

@@ -133,6 +133,4 @@ class ProtocolError(RemoteError):
 
 def reason(error: Exception) -> str:
     """Returns why a file or address cannot be used, without its name or an error number."""
-    if isinstance(error, UnicodeEncodeError):
-        return "its letters are no file name in this locale; set PYTHONUTF8=1"
     return (getattr(error, "strerror", None) or str(error)).partition(" (while ")[0]

@@ -2,7 +2,6 @@
 
 import copy
 import json
-import os
 import pickle
 import re
 import socket
@@ -456,52 +455,6 @@ def test_a_copy_in_mid_race_names_clone(race, duplicate):
                 call()
         twin.reset(seed=0)
         twin.step({"kart_0": 0})
-
-
-LOCALE = """
-import os
-from stkzoo._locks import locked_folder
-from stkzoo._os import check_writable, write_text
-from stkzoo._reading import reading, read_text
-from stkzoo.errors import StkzooError
-from stkzoo.race import find_driver
-
-def lock(path):
-    with locked_folder(Path(path), "run"):
-        pass
-
-def read(path):
-    with reading(path, "a text"):
-        read_text(path)
-
-from pathlib import Path
-typed, listed = f"pil{chr(243)}te", os.listdir(".")[0]
-for name in (typed, listed):
-    for call in (find_driver, lock, read, lambda name: write_text(name + ".txt", "")):
-        try:
-            call(name)
-            print("works")
-        except StkzooError as error:
-            print(ascii(str(error)))
-"""
-
-
-def test_accented_paths_work_or_are_refused_in_a_locale_without_accents(tmp_path):
-    (tmp_path / "pil\xf3te").mkdir()
-    (tmp_path / "pil\xf3te" / "pystk_actor.py").write_text("def get_actor(*_): return print")
-    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    done = subprocess.run(
-        [sys.executable, "-c", LOCALE],
-        cwd=tmp_path,
-        env={**os.environ, **plain},
-        capture_output=True,
-        text=True,
-    )
-    lines = done.stdout.splitlines()
-    assert len(lines) == 8, done.stderr
-    for line in lines:
-        assert line == "works" or "set PYTHONUTF8=1" in line or "not a regular file" in line
-    assert lines.count("works") == 2, lines
 
 
 #: Arguments of training programs; the others need ``--output`` alone.

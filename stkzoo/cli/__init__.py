@@ -21,8 +21,6 @@ from __future__ import annotations
 import argparse
 import ast
 import inspect
-import io
-import os
 import pkgutil
 import sys
 import types
@@ -153,10 +151,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         after SIGTERM and 129 after SIGHUP. Some commands return further codes.
     """
     words = sys.argv[1:] if argv is None else list(argv)
-    if sys.stdout is None:  # closed, as by `>&-`
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - used until the program ends
-    if isinstance(sys.stdout, io.TextIOWrapper):  # let it print any text
-        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with end_signals() as came:
             code = _run(words)
@@ -172,9 +166,6 @@ def _run(words: list[str]) -> int:
             return _exit_code(words)
     except (StkzooError, OSError) as error:
         print(f"stkzoo: {sentence_of(error)}", file=sys.stderr)
-        return 1
-    except MemoryError:
-        print("stkzoo: there is too little memory; `ulimit -d -v` shows limits", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("stkzoo: interrupted", file=sys.stderr)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePath, PurePosixPath
 
-from stkzoo._reading import Unreadable, is_there, open_zip, reading
+from stkzoo._reading import Unreadable, open_zip, reading
 from stkzoo._schema import plain_text
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.errors import ConfigError
@@ -183,7 +183,7 @@ def find_files(source: str) -> AgentFiles | None:
         ConfigError: the source is an existing path, but not an agent.
     """
     path = Path(os.path.expanduser(source))
-    if is_there(path):
+    if os.path.exists(path):
         path = path.resolve()
         shown = plain_text(str(path))
         if shown != str(path):
@@ -213,9 +213,8 @@ def _is_module(name: str) -> bool:
     parts = name.split(".")
     if not all(part.isidentifier() for part in parts):
         return False
-    return (
-        installed_module(parts[0]) is not None or is_there(parts[0]) or is_there(f"{parts[0]}.py")
-    )
+    is_here = os.path.exists(parts[0]) or os.path.exists(f"{parts[0]}.py")
+    return is_here or installed_module(parts[0]) is not None
 
 
 def _place_in(folder: Path, source: str) -> AgentPlace:

@@ -21,19 +21,6 @@ def test_a_full_stdout_is_one_error_and_the_file_is_kept(tmp_path, run_command):
     assert saved_steps(tmp_path) == 3
 
 
-def test_a_closed_stdout_is_no_error(tmp_path, run_command):
-    done = run_command(["karts"], tmp_path, "sys.stdout = None")
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-@pytest.mark.slow
-def test_a_name_that_the_terminal_cannot_show_is_escaped(tmp_path, run_command):
-    words = ["race", "random@:\N{CHEQUERED FLAG}:fire:", *RACE[1:]]
-    done = run_command(words, tmp_path, "sys.stdout.reconfigure(encoding='ascii')")
-    assert "\\U0001f3c1:fire:" in done.stdout
-    assert done.returncode == 0
-
-
 FAILING = """
     from stkzoo.race.replay import ReplayWriter
     def fail(*_):

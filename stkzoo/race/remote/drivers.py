@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._checks import check_number, shortened
-from stkzoo._reading import is_there, read_text, reading
+from stkzoo._reading import read_text, reading
 from stkzoo._schema import Count, plain_name
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
@@ -326,5 +326,5 @@ def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[s
     keys = (words[1] for words in lines if len(words) == 2)
     return (
         tuple(words[0] for words in lines),
-        tuple(str(path.parent / key) if is_there(path.parent / key) else key for key in keys),
+        tuple(str(path.parent / key) if os.path.exists(path.parent / key) else key for key in keys),
     )

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from stkzoo._imports import import_extra
 from stkzoo._logs import RepeatFilter
 from stkzoo._os import is_loopback, max_descriptors, write_whole
-from stkzoo._reading import is_there, read_text, reading
+from stkzoo._reading import read_text, reading
 from stkzoo.drivers.messages import MAX_BYTES
 from stkzoo.errors import ConfigError, RemoteError
 
@@ -396,7 +396,7 @@ def read_publics(sources: Iterable[str | Path]) -> set[str]:
     keys: set[str] = set()
     for source in sources:
         path = Path(source).expanduser()
-        if not is_there(path) and _KEY.fullmatch(str(source)):
+        if not os.path.exists(path) and _KEY.fullmatch(str(source)):
             found = {str(source)}
         else:
             files = path.glob("*.public") if path.is_dir() else [path]
