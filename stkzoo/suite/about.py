@@ -103,7 +103,7 @@ class About:
             label: its name in the entry.
 
         Raises:
-            ConfigError: an agent from files has no class or looks like a driver of stkzoo, or a
+            ConfigError: an agent from files has no class or the name of a driver of stkzoo, or a
                 driver of stkzoo has another class.
         """
         shipped = shipped_class(source)

@@ -104,18 +104,11 @@ def test_names_of_drivers_are_one_printable_line():
     assert names == {"kart_0": "A B", "kart_1": "C D", "kart_2": "kart_2"}
 
 
-def test_names_that_look_alike_get_numbers():
-    drivers = [
-        "heuristic@:Ada",
-        "ai@:\u0430da",
-        "random@:\uff21DA",
-        "ai",
-        "ai",
-        "heuristic@:\u200bal",
-    ]
+def test_names_that_differ_only_in_case_get_numbers():
+    drivers = ["heuristic@:Ada", "random@:\uff21DA", "ai", "ai"]
     result = run_race(drivers, track="olivermath", max_steps=1)
     names = [row.driver for row in sorted(result.agents, key=lambda row: row.agent)]
-    assert names == ["Ada", "\u0430da-2", "ADA-3", "ai", "ai", "al-2"]
+    assert names == ["Ada", "ADA-2", "ai", "ai"]
 
 
 def test_a_listener_gets_observations_actions_and_rewards():

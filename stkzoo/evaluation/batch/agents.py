@@ -171,7 +171,7 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
     name = _plain(name)
     label = distinct_name(name, taken)
     if is_fixed and label != name:
-        called = repr(name) if name in taken else f"{name!r}, which looks like another name"
+        called = repr(name) if name in taken else f"{name!r} (in different case)"
         raise ConfigError(
             f"two agents are called {called}; give each a different name, such as "
             f"{text.partition(NAME_MARK)[0]}@:{label}"
