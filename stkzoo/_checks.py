@@ -67,10 +67,7 @@ def check_number(
         ConfigError: the value is not a number or out of bounds.
     """
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    try:
-        number = float(value) if is_number else math.nan  # type: ignore[arg-type]
-    except OverflowError:
-        number = math.inf
+    number = float(value) if is_number else math.nan  # type: ignore[arg-type]
     if high is not None:
         is_valid, bounds = low <= number <= high, f"from {low:g} to {high:g}"
     else:

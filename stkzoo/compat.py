@@ -20,30 +20,19 @@ from stkzoo.views.agent_chain import AgentChain
 
 __all__ = ["install"]
 
-_NAME = "pystk2_gymnasium"
 
-
-def install(*, replace: bool = True) -> bool:
+def install() -> None:
     """Makes ``pystk2_gymnasium``, its submodules and its environment ids resolve to stkzoo.
 
-    Args:
-        replace: also replace the original package if it is already imported. Names that other code
-            has imported from it keep referring to the original; a warning reports this once.
-
-    Returns:
-        Whether ``pystk2_gymnasium`` resolves to stkzoo now.
+    Names that other code has already imported from the original package keep referring to it; a
+    warning reports this once.
     """
-    ours = modules()
-    present = sys.modules.get(_NAME, ours[_NAME])
-    if present is not ours[_NAME] and not replace:
-        return False
     for name in list(sys.modules):
-        if name.partition(".")[0] == _NAME:
+        if name.partition(".")[0] == "pystk2_gymnasium":
             del sys.modules[name]
-    sys.modules.update(ours)
+    sys.modules.update(modules())
     register_gymnasium_ids()
     AgentChain.is_strict = False
-    return True
 
 
 install()

@@ -50,7 +50,6 @@ COMMANDS = [
     ("new {here}/empty/../classless", "is not empty; choose another folder"),
     ("keys new open --folder {here}", "open.secret"),
     ("keys new open/x", "expected letters, digits, _ . and -"),
-    ("keys show none.secret", "the key none.secret cannot be read (No such file or directory)"),
     ("race-server ai --secret open.secret", "first: chmod 600 open.secret"),
     ("race-server ai --secret text.zip", "has an invalid line, expected 'public' or 'secret'"),
     ("race-server random --address 127.0.0.1:{port}", "choose another address, or end the program"),

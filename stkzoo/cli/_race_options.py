@@ -40,7 +40,7 @@ class VideoArguments:
     """Options of a video.
 
     Attributes:
-        video: record a video to FILE: .mp4, .mkv, .avi, .webm, .ogv, .mov, .gif
+        video: record a video to FILE: .mp4, .webm or .gif
         cameras: number of agents with a camera, 1 to 8 (default: up to 4)
         width: width of the video
         height: height of the video

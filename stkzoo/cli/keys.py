@@ -8,7 +8,6 @@ others.
 Examples:
   stkzoo keys new ada                   write ada.secret and ada.public
   stkzoo keys new course --folder keys  write them to another folder
-  stkzoo keys show ada.secret           show the public key of a secret key
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stkzoo._arguments import positional
-from stkzoo.race.remote import new_key_files, read_public, read_publics
+from stkzoo.race.remote import new_key_files, read_public
 
 
 @dataclass
@@ -33,17 +32,6 @@ class NewKeyArguments:
     folder: Path = Path()
 
 
-@dataclass
-class ShowKeyArguments:
-    """Options of ``stkzoo keys show``.
-
-    Attributes:
-        file: a .secret or .public file
-    """
-
-    file: Path = positional()
-
-
 def _new(arguments: NewKeyArguments) -> None:
     """Make a key pair."""
     secret, public = new_key_files(arguments.name, arguments.folder)
@@ -51,10 +39,4 @@ def _new(arguments: NewKeyArguments) -> None:
     print(f"{public}  give it to the others; its text: {read_public(public)}")
 
 
-def _show(arguments: ShowKeyArguments) -> None:
-    """Show the public key of a key file."""
-    for key in sorted(read_publics([arguments.file])):
-        print(f"public {key}")
-
-
-ACTIONS = (_new, _show)
+ACTIONS = (_new,)

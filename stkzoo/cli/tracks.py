@@ -7,7 +7,6 @@ train on the tracks of "test".
 
 Examples:
   stkzoo tracks                                    all tracks by name
-  stkzoo tracks train --sort time                  the shortest times first
   stkzoo tracks lighthouse hacienda --difficulty 3
   stkzoo tracks --json                             JSON output for programs
 """
@@ -27,9 +26,6 @@ from stkzoo.race import RaceSettings
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import split_of
 
-#: Field to sort by, for each choice of ``--sort``.
-_SORTS = {"name": "track", "length": "length", "time": "time", "items": "items"}
-
 
 @dataclass
 class TracksArguments:
@@ -37,13 +33,11 @@ class TracksArguments:
 
     Attributes:
         tracks: names of tracks, or train, train_only, validation, test or all (default: all)
-        sort: sort order
         difficulty: difficulty of the races of the AI; it sets the speed of all karts, 0 to 3
         json: write JSON instead of a table
     """
 
     tracks: tuple[str, ...] = positional((), metavar="TRACK")
-    sort: str = option("name", choices=_SORTS)
     difficulty: int = option(2, choices=range(4), metavar="N")
     json: bool = False
 
@@ -57,7 +51,6 @@ def run(arguments: TracksArguments) -> None:
         for name in names:
             bars.show(len(facts), name)
             facts.append(track_facts(name, arguments.difficulty))
-    facts.sort(key=lambda fact: fact[_SORTS[arguments.sort]] or 0.0)
     title = f"Lengths in m; times in s, at difficulty {arguments.difficulty}; human world records"
     show(facts, partial(show_facts, title=title), as_json=arguments.json)
 

@@ -261,9 +261,6 @@ def _fixed_addresses() -> Iterator[None]:
         return
     personality = ctypes.CDLL(None).personality
     before = personality(ctypes.c_ulong(_CURRENT_PERSONALITY))
-    if before < 0:  # the system does not tell
-        yield
-        return
     personality(ctypes.c_ulong(before | _ADDR_NO_RANDOMIZE))
     try:
         yield

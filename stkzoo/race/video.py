@@ -19,7 +19,7 @@ import numpy.typing as npt
 from stkzoo._checks import check_number, check_whole
 from stkzoo.engine.setup import MAX_CAMERAS
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.errors import ConfigError, EngineError
+from stkzoo.errors import EngineError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.render.encoder import VideoWriter, check_video_path

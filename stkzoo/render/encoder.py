@@ -29,11 +29,7 @@ _GIF = (
 #: Arguments of ffmpeg by file suffix.
 FORMATS: dict[str, tuple[str, ...]] = {
     ".mp4": (*_H264, "-movflags", "+faststart", "-f", "mp4"),
-    ".mov": (*_H264, "-movflags", "+faststart", "-f", "mov"),
-    ".mkv": (*_H264, "-f", "matroska"),
-    ".avi": ("-c:v", "mpeg4", "-q:v", "4", "-f", "avi"),
     ".webm": (*_VP9, "-crf", "34", "-b:v", "0", "-pix_fmt", "yuv420p", "-f", "webm"),
-    ".ogv": ("-c:v", "libtheora", "-q:v", "7", "-pix_fmt", "yuv420p", "-f", "ogv"),
     ".gif": ("-filter_complex", _GIF, "-loop", "0", "-f", "gif"),
 }
 

@@ -72,7 +72,7 @@ print(*names, *ids, *(kind.__module__ for kind in classes))
 COMPLETE = "stkzoo stkzoo stkzoo.env.gymnasium_api stkzoo.config"
 
 
-@pytest.mark.parametrize("again", ["", "stkzoo.compat.install(replace=True)"])
+@pytest.mark.parametrize("again", ["", "stkzoo.compat.install()"])
 def test_an_installed_reference_is_replaced(again):
     assert importlib.util.find_spec("pystk2_gymnasium") is not None
     assert run_python(f"import stkzoo.compat\n{again}\n{OWNERS}") == COMPLETE

@@ -121,7 +121,7 @@ def interrupt_sending(monkeypatch, at):
 
 
 def test_a_video_continues_after_an_interrupt_in_the_middle_of_a_frame(tmp_path, monkeypatch):
-    path, big = tmp_path / "race.mkv", (640, 480)  # larger than the pipe to ffmpeg
+    path, big = tmp_path / "race.mp4", (640, 480)  # larger than the pipe to ffmpeg
     interrupt_sending(monkeypatch, at=2)
     writer = VideoWriter(path, 10)
     with pytest.raises(KeyboardInterrupt):

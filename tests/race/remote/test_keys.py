@@ -128,9 +128,8 @@ def test_invalid_key_names_are_refused(tmp_path, name):
         new_key_files(name, tmp_path)
 
 
-def test_the_command_makes_and_shows_keys(tmp_path, capsys):
-    assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 0
-    assert main(["keys", "show", str(tmp_path / "ada.secret")]) == 0
+def test_the_command_makes_keys_and_replaces_none(tmp_path, capsys):
+    words = ["keys", "new", "ada", "--folder", str(tmp_path)]
+    assert main(words) == 0
     assert read_public(tmp_path / "ada.public") in capsys.readouterr().out
-    assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 2
-    assert main(["keys", "show", str(tmp_path / "none")]) == 2
+    assert main(words) == 2
