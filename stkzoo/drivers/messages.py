@@ -7,7 +7,7 @@ nothing but the declared fields, runs no code from the message and raises only
 Observations are the only part whose entries are not declared. An observation is a map from names to
 whole numbers, texts, arrays and rows (a tuple of arrays or numbers of equal shape and type);
 ``docs/reference/protocol.md`` describes their form. Decoding one takes at most 16 bytes of memory
-per byte, plus 64 MiB.
+per byte, plus 1 MiB.
 """
 
 from __future__ import annotations
@@ -44,6 +44,9 @@ MAX_NAME = 100
 #: Maximum number of entries of an observation, and length of each axis of an array.
 _MAX_ENTRIES, _MAX_LENGTH = 64, 8192
 _MAX_AXES = 4
+#: Memory limit of an observation [bytes per byte], additional memory of a short one, and memory of
+#: one row [bytes]. The observation of the longest track needs 14 bytes per byte.
+_MEMORY_PER_BYTE, _MEMORY_OF_SHORT, _ROW = 16, 1 << 20, 128
 
 # Codes of the MessagePack extension types.
 _ARRAY, _ROWS = 1, 2
@@ -228,12 +231,17 @@ def decode_observation(data: bytes) -> dict[str, Any]:
     """Decodes an observation. Its arrays are writable.
 
     Raises:
-        ProtocolError: the bytes are not an observation.
+        ProtocolError: the bytes are not an observation, or it takes too much memory.
     """
     entries = decode(_observations, data)
+    memory = _MEMORY_PER_BYTE * len(data) + _MEMORY_OF_SHORT
     for name, entry in entries.items():
         if isinstance(entry, Ext):
             array = _decoded(entry)
+            if entry.code == _ROWS:
+                memory -= _ROW * len(array)
+                if memory < 0:
+                    raise ProtocolError("an observation of more rows than any track has")
             entries[name] = tuple(array) if entry.code == _ROWS else array
     return entries
 
