@@ -135,6 +135,10 @@ class ActionFilter:
         self._memory.look_around(10.0 * aside)
         self._has_moved |= np.abs(views[:, _SPEED]) > _MOVES
         self._memory.forget(np.flatnonzero(~self._has_moved))  # karts on the grid are not stuck
+        return self.see(views)
+
+    def see(self, views: FloatArray) -> FloatArray:
+        """Returns the policy's input without advancing the memory."""
         self._views = views
         return np.concatenate([views, self._memory.numbers()], axis=1)
 
