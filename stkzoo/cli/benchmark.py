@@ -38,10 +38,9 @@ from typing import Any
 from stkzoo import evaluation
 from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
 from stkzoo.cli._batch import RUN_OPTIONS, directions_option, file_name, reverse_of, run_and_show
-from stkzoo.cli._console import counted, say, show, show_facts, show_table
+from stkzoo.cli._console import counted, say, show, show_facts
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.result import BENCHMARK
-from stkzoo.evaluation.benchmark.time_trial import CLOSE, TIME_TRIALS
 from stkzoo.race import RaceSettings
 
 #: Options that only races of the usual benchmark have.
@@ -95,31 +94,30 @@ def run(arguments: BenchmarkArguments) -> int:
         return _compare(arguments)
     if arguments.agent is None:
         raise ConfigError("no agent; name one, such as heuristic, or see --help")
-    measure = _time_trial if arguments.time_trial else _benchmark
-    return measure(arguments, arguments.agent)
+    plan_races = _plan_time_trial if arguments.time_trial else _plan_benchmark
+    plan = plan_races(arguments, arguments.agent)
+    kind = "-time-trial" if arguments.time_trial else ""
+    folder = Path(arguments.output or f"benchmark/{file_name(plan.agent.label)}{kind}")
+    return run_and_show(arguments, BENCHMARK, plan, folder, lambda result: show_results([result]))
 
 
-def _benchmark(arguments: BenchmarkArguments, agent: str) -> int:
-    plan = evaluation.plan_benchmark(
+def _plan_benchmark(arguments: BenchmarkArguments, agent: str) -> evaluation.BenchmarkPlan:
+    return evaluation.plan_benchmark(
         agent,
         difficulty=arguments.difficulty,
         reverse=reverse_of(arguments.directions),
         **_chosen(split=arguments.split, forms=arguments.forms, seeds=arguments.seeds),
         **arguments.settings,
     )
-    folder = Path(arguments.output or f"benchmark/{file_name(plan.agent.label)}")
-    return run_and_show(arguments, BENCHMARK, plan, folder, lambda result: show_results([result]))
 
 
-def _time_trial(arguments: BenchmarkArguments, agent: str) -> int:
+def _plan_time_trial(arguments: BenchmarkArguments, agent: str) -> evaluation.BenchmarkPlan:
     refuse_options(
         "--time-trial has the conditions of the human records",
         changed_options(arguments, only=_CONDITIONS),
     )
     chosen = _chosen(split=arguments.split, seeds=arguments.seeds)
-    plan = evaluation.plan_time_trial(agent, **chosen, **arguments.settings)
-    folder = Path(arguments.output or f"benchmark/{file_name(plan.agent.label)}-time-trial")
-    return run_and_show(arguments, TIME_TRIALS, plan, folder, _show_time_trial)
+    return evaluation.plan_time_trial(agent, **chosen, **arguments.settings)
 
 
 def _chosen(**options: Any) -> dict[str, Any]:
@@ -163,19 +161,6 @@ def show_results(results: Sequence[evaluation.BenchmarkResult]) -> None:
             f"{result.label}: {len(result.races)} of {counted(len(plan.races()), 'race')} on "
             f"{', '.join(plan.tracks)}; difficulty {plan.settings.difficulty}; {interval} "
             f"95% intervals{errors}."
-        )
-
-
-def _show_time_trial(result: evaluation.TimeTrialResult) -> None:
-    """Prints an agent's times and the human records."""
-    rows = [(row.track, row.laps, row.time, row.record, row.ratio) for row in result.tracks]
-    columns = ("track", "laps", "time [s]", "record [s]", "ratio to the record")
-    show_table(columns, rows)
-    if result.mean_ratio is not None:
-        tracks = counted(len(result.tracks), "track")
-        say(
-            f"{result.label}: mean ratio {result.mean_ratio:.3f} on {tracks}; {result.close} at "
-            f"{CLOSE} or less; unfinished: {', '.join(result.unfinished) or '-'}."
         )
 
 

@@ -20,7 +20,7 @@ from stkzoo.evaluation.agent_check import AgentReport, check_agent
 from stkzoo.evaluation.batch.agents import BatchAgent
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark, plan_time_trial
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
@@ -36,15 +36,6 @@ from stkzoo.evaluation.benchmark.result import (
     load_benchmark,
     plot_benchmark,
     run_benchmark,
-)
-from stkzoo.evaluation.benchmark.time_trial import (
-    TimeTrialPlan,
-    TimeTrialRace,
-    TimeTrialResult,
-    TrackTrial,
-    load_time_trial,
-    plan_time_trial,
-    plot_time_trial,
     run_time_trial,
 )
 from stkzoo.evaluation.demonstrations.dataset import (
@@ -103,18 +94,13 @@ __all__ = [
     "RunOptions",
     "ScheduledRace",
     "Standing",
-    "TimeTrialPlan",
-    "TimeTrialRace",
-    "TimeTrialResult",
     "TournamentPlan",
     "TournamentResult",
-    "TrackTrial",
     "check_agent",
     "compare",
     "load_ai_times",
     "load_benchmark",
     "load_demonstrations",
-    "load_time_trial",
     "load_tournament",
     "new_figure",
     "percentile_interval",
@@ -123,7 +109,6 @@ __all__ = [
     "plan_time_trial",
     "plan_tournament",
     "plot_benchmark",
-    "plot_time_trial",
     "rate",
     "record_demonstrations",
     "render",

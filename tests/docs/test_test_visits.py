@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from stkzoo.evaluation import load_benchmark, load_time_trial
+from stkzoo.evaluation import load_benchmark
 from stkzoo.tracks import TEST_TRACKS
 from tests.support.paths import ROOT
 
@@ -20,13 +20,6 @@ def has_test_tracks(file):
 SAVED = sorted(filter(has_test_tracks, (RESULTS / "benchmark").rglob("*.json")))
 
 
-def saved_result(file):
-    """Returns a result and its mean time ratio to the AI or, in time trials, to the records."""
-    if file.stem.endswith("time-trial"):
-        return (result := load_time_trial(file)), result.mean_ratio
-    return (result := load_benchmark(file)), result.group().figures["time_ratio"].value
-
-
 def visits():
     """Returns the rows of the log, without its header."""
     with (RESULTS / "test_visits.csv").open(newline="") as file:
@@ -35,7 +28,7 @@ def visits():
 
 @pytest.mark.parametrize("file", SAVED, ids=lambda file: file.stem)
 def test_the_log_has_every_saved_result_on_test_tracks(file):
-    result, ratio = saved_result(file)
-    plan, races = result.plan, len(result.races)
+    result = load_benchmark(file)
+    plan, races, ratio = result.plan, len(result.races), result.group().figures["time_ratio"].value
     row = [plan.agent.source, str(plan.settings.difficulty), str(races), f"{ratio:.3f}"]
     assert row in [visit[1:5] for visit in visits()]

@@ -1,6 +1,7 @@
 """Time trials against human records: plans, figures, resumed runs and the command."""
 
 import json
+from dataclasses import replace
 
 import jsonschema
 import pytest
@@ -8,19 +9,20 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
-    TimeTrialResult,
+    BenchmarkResult,
+    compare,
     load_benchmark,
-    load_time_trial,
+    plan_benchmark,
     plan_time_trial,
     run_time_trial,
 )
-from stkzoo.evaluation.benchmark.time_trial import TIME_TRIALS
+from stkzoo.evaluation.benchmark.result import BENCHMARK
 from stkzoo.records import HUMAN_RECORDS
 from tests.support.paths import ROOT
 from tests.support.results import agent_result, race_result
 
-SCHEMA = ROOT / "docs" / "schemas" / "time-trial-result.schema.json"
-SHIPPED = ROOT / "benchmarks" / "results" / "benchmark" / "ace-time-trial.json"
+SCHEMA = ROOT / "docs" / "schemas" / "benchmark-result.schema.json"
+SAVED = sorted((ROOT / "benchmarks" / "results" / "benchmark").glob("*-time-trial.json"))
 
 
 # ------------------------------------------------------------------ the plan
@@ -51,6 +53,12 @@ def test_invalid_time_trials_are_refused(options, message):
         plan_time_trial("heuristic", **options)
 
 
+def test_a_track_without_a_record_is_refused():
+    plan = plan_time_trial("heuristic", split="lighthouse")
+    with pytest.raises(ConfigError, match="my_track has no human record; leave it out of --track"):
+        replace(plan, tracks=("my_track",))
+
+
 # ------------------------------------------------------------------ the figures
 
 
@@ -67,48 +75,39 @@ def outcome(multiples, **options):
     for order, multiple in zip(plan.orders(), multiples, strict=False):
         record = HUMAN_RECORDS[order.settings.track].seconds
         results[order.number] = result_of(order, None if multiple is None else multiple * record)
-    return TIME_TRIALS.summarize(plan, results, None)
+    return BENCHMARK.summarize(plan, results, None)
 
 
 def test_the_figures_are_multiples_of_the_records():
     result = outcome([1.15, 1.2, None], split=["lighthouse", "hacienda", "mines"])
-    ratios = {track.track: track.ratio for track in result.tracks}
-    assert ratios == {"lighthouse": 1.15, "hacienda": 1.2, "mines": 3.0}
-    assert result.mean_ratio == pytest.approx((1.15 + 1.2 + 3.0) / 3, abs=1e-4)
-    assert (result.close, result.unfinished) == (1, ("mines",))
-    assert result.tracks[2].time is None
-
-
-def test_an_incomplete_time_trial_has_a_result():
-    result = outcome([1.3], split=["lighthouse", "hacienda"])
-    assert (result.is_complete, result.mean_ratio) == (False, 1.3)
-    assert outcome([], split="mines").mean_ratio is None
+    ratios = [group.figures["time_ratio"].value for group in result.groups if group.by == "track"]
+    assert ratios == pytest.approx([1.15, 1.2, 3.0], abs=1e-5)
+    figures = result.group().figures
+    assert figures["time_ratio"].value == pytest.approx((1.15 + 1.2 + 3.0) / 3, abs=1e-5)
+    assert figures["unfinished"].value == pytest.approx(1 / 3)
 
 
 def test_a_result_survives_a_json_round_trip():
     result = outcome([1.3, None], split=["lighthouse", "hacienda"])
-    assert TimeTrialResult.from_json(result.to_json()) == result
-    jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))
+    assert BenchmarkResult.from_json(result.to_json()) == result
 
 
-def test_a_result_with_races_of_another_plan_is_refused():
-    values = json.loads(outcome([1.3], split="mines").to_json())
-    values["races"][0]["seed"] += 1
-    with pytest.raises(ConfigError, match="race 0 of the time trial result is"):
-        TimeTrialResult.from_json(json.dumps(values))
+def test_time_trials_are_compared_with_each_other_only():
+    one, other = (outcome([ratio], split="lighthouse") for ratio in (1.2, 1.5))
+    assert compare(one, other).difference().figures["time_ratio"].value == pytest.approx(-0.3)
+    benchmark = BENCHMARK.summarize(plan_benchmark("heuristic", split="lighthouse"), {}, None)
+    with pytest.raises(ConfigError, match="mode is 'normal' and was 'time_trial'"):
+        compare(one, benchmark)
 
 
-def test_a_time_trial_is_not_a_benchmark(tmp_path):
-    (tmp_path / "result.json").write_text(outcome([1.3], split="mines").to_json())
-    with pytest.raises(ConfigError, match="is a time-trial-result"):
-        load_benchmark(tmp_path)
-
-
-def test_the_shipped_result_is_complete_and_valid():
-    jsonschema.validate(json.loads(SHIPPED.read_text()), json.loads(SCHEMA.read_text()))
-    result = load_time_trial(SHIPPED)
+@pytest.mark.parametrize("file", SAVED, ids=lambda file: file.stem)
+def test_a_saved_result_is_complete_and_valid(file):
+    jsonschema.validate(json.loads(file.read_text()), json.loads(SCHEMA.read_text()))
+    result = load_benchmark(file)
     assert result.is_complete
-    assert len(result.tracks) == 21
+    for race in result.races:
+        (kart,) = race.karts
+        assert race.time_ratio == pytest.approx(kart.time / HUMAN_RECORDS[race.track].seconds)
 
 
 # ------------------------------------------------------------------ on the real engine
@@ -120,13 +119,11 @@ def test_a_run_is_stored_and_the_command_resumes_it_without_racing_again(tmp_pat
     heard = []
     first = run_time_trial("ai", output=tmp_path, **options)
     again = run_time_trial("ai", output=tmp_path, on_race=heard.append, **options)
-    assert again == first == load_time_trial(tmp_path)
+    assert again == first == load_benchmark(tmp_path)
     assert [(progress.done, progress.last) for progress in heard] == [(1, None)]
-    (track,) = first.tracks
-    assert (track.laps, track.finished) == (6, 1)
-    assert 1.0 < track.ratio < 2.5
+    (race,) = first.races
+    assert 1.0 < race.time_ratio < 2.5
     words = ["ai", "--time-trial", "--track", "olivermath", "--output", str(tmp_path)]
     assert main(["benchmark", *words]) == 0
-    shown = capsys.readouterr().out
-    assert all(text in shown for text in ("57.08", "unfinished: -."))
+    assert f"{race.time_ratio:.3f}" in capsys.readouterr().out
     assert (tmp_path / "benchmark.png").stat().st_size > 1000

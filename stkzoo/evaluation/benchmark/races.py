@@ -197,8 +197,9 @@ class RaceOutcome(BenchmarkRace):
 
     Attributes:
         status: why the race ended.
-        time_ratio: mean finish time of the agent's karts as a multiple of the AI's median time,
-            at most the time limit. A kart that did not finish counts with the time limit.
+        time_ratio: mean finish time of the agent's karts as a multiple of the AI's median time (in
+            time trials, of the human record), at most the time limit. A kart that did not finish
+            counts with the time limit.
         karts: outcomes of the agent's karts in grid order.
     """
 
@@ -212,15 +213,15 @@ class RaceOutcome(BenchmarkRace):
 
     @classmethod
     def of(
-        cls, race: BenchmarkRace, result: RaceResult, ai_time: float, limit: float
+        cls, race: BenchmarkRace, result: RaceResult, reference_time: float, limit: float
     ) -> RaceOutcome:
         """Returns the outcome of a race for the agent.
 
         Args:
             race: the race.
             result: result of the race.
-            ai_time: the AI's median time on the track [s].
-            limit: time limit of the race, as a multiple of ``ai_time``.
+            reference_time: the time with which the agent's is compared [s].
+            limit: time limit of the race, as a multiple of ``reference_time``.
         """
         numbers = race.lineup.agent_karts(race.end)
         rows = [row for row in result.agents if row.start_position - 1 in numbers]
@@ -228,7 +229,7 @@ class RaceOutcome(BenchmarkRace):
         last = dict(zip(reversed(lost), range(len(result.agents), 0, -1), strict=False))
         rows.sort(key=lambda row: row.start_position)
         karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in rows)
-        ratios = [limit if k.time is None else min(k.time / ai_time, limit) for k in karts]
+        ratios = [limit if k.time is None else min(k.time / reference_time, limit) for k in karts]
         return cls(**asdict(race), status=result.status, time_ratio=_mean(ratios), karts=karts)
 
     @property

@@ -13,7 +13,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation import plotting
 from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, RESULT_FILE, describe_differences
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
-from stkzoo.evaluation.benchmark.plan import AgentPlan, BenchmarkPlan, plan_benchmark
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark, plan_time_trial
 from stkzoo.evaluation.benchmark.races import FIGURES, FigureKind, RaceGroup, RaceOutcome
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.race.document import Document
@@ -24,22 +24,26 @@ _SPREAD = 0.5
 
 
 @dataclass(frozen=True)
-class AgentBatchResult(Document):
-    """The result of a batch that measures one agent.
+class BenchmarkResult(Document):
+    """The result of a benchmark.
 
     Attributes:
-        plan: the plan.
+        plan: the benchmark.
         races: the races that have been run.
         sandboxes: sandboxes of the agents from files in these races.
         protections: protections that applied in all races with agents from files
             (:func:`stkzoo.drivers.sandbox.protections`).
     """
 
+    # docs/schemas/benchmark-result.schema.json
+    type_name: ClassVar[str] = "benchmark-result"
+    origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
     rows: ClassVar[str] = "races"
     max_bytes: ClassVar[int] = MAX_RESULT_BYTES
+    metrics: ClassVar[tuple[FigureKind, ...]] = FIGURES
 
-    plan: AgentPlan
-    races: tuple[Any, ...]
+    plan: BenchmarkPlan
+    races: tuple[RaceOutcome, ...]
     sandboxes: tuple[str, ...] = field(compare=False, default=())
     protections: tuple[str, ...] = field(compare=False, default=())
 
@@ -69,32 +73,6 @@ class AgentBatchResult(Document):
         """Total number of failures of the agent."""
         return sum(race.errors for race in self.races)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the result as JSON values."""
-        head = {"agent": self.label, "is_complete": self.is_complete}
-        return head | Document.to_dict(self)
-
-
-@dataclass(frozen=True)
-class BenchmarkResult(AgentBatchResult):
-    """The result of a benchmark.
-
-    Attributes:
-        plan: the benchmark.
-        races: the races that have been run.
-        sandboxes: sandboxes of the agents from files in these races.
-        protections: protections that applied in all races with agents from files
-            (:func:`stkzoo.drivers.sandbox.protections`).
-    """
-
-    # docs/schemas/benchmark-result.schema.json
-    type_name: ClassVar[str] = "benchmark-result"
-    origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
-    metrics: ClassVar[tuple[FigureKind, ...]] = FIGURES
-
-    plan: BenchmarkPlan
-    races: tuple[RaceOutcome, ...]
-
     @cached_property
     def groups(self) -> tuple[RaceGroup, ...]:
         """The metrics of all races and of groups of races."""
@@ -117,11 +95,13 @@ class BenchmarkResult(AgentBatchResult):
         return {
             "interval": {"kind": "bootstrap over races", "confidence": CONFIDENCE},
             "groups": [asdict(group) for group in self.groups],
-            **AgentBatchResult.to_dict(self),
+            "agent": self.label,
+            "is_complete": self.is_complete,
+            **Document.to_dict(self),
         }
 
 
-def race_outcomes(plan: AgentPlan, results: RaceResults) -> tuple[RaceOutcome, ...]:
+def race_outcomes(plan: BenchmarkPlan, results: RaceResults) -> tuple[RaceOutcome, ...]:
     """Returns the outcomes of the races that have been run.
 
     Args:
@@ -173,7 +153,8 @@ def plot_benchmark(
     times, *rest = figure.subplots(1, len(widths), width_ratios=widths, squeeze=False).flat
     _draw(times, drawn, rows, "time_ratio")
     times.axvline(1.0, color=plotting.GRAY, linewidth=1, linestyle="--", zorder=0)
-    plotting.style_axes(times, "Time as a multiple of the AI's; less is better")
+    reference = "the human record" if drawn[0].plan.is_time_trial else "the AI's"
+    plotting.style_axes(times, f"Time as a multiple of {reference}; less is better")
     for wins in rest:
         _draw(wins, drawn, contests, "win_rate", scale=100)
         for row, (_, name) in enumerate(contests):
@@ -240,6 +221,26 @@ def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any)
     """
     run, plan = RunOptions.split(options)
     return BENCHMARK.run(plan_benchmark(agent, **plan), Path(output), run)
+
+
+def run_time_trial(
+    agent: str, *, output: str | os.PathLike[str], **options: Any
+) -> BenchmarkResult:
+    """Runs an agent's time trials, or resumes them if they were started in ``output``.
+
+    Args:
+        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_benchmark`.
+        output: folder, as for :func:`run_benchmark`.
+        options: as for :func:`run_benchmark`, but with those of
+            :func:`~stkzoo.evaluation.plan_time_trial`.
+
+    Raises:
+        ConfigError: see :func:`run_benchmark`.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be run.
+    """
+    run, plan = RunOptions.split(options)
+    return BENCHMARK.run(plan_time_trial(agent, **plan), Path(output), run)
 
 
 def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
@@ -351,6 +352,7 @@ def _conditions(plan: BenchmarkPlan) -> dict[str, Any]:
     }
     return times | {
         "engine": plan.versions.get("pystk2"),
+        "mode": plan.settings.mode,
         "difficulty": plan.settings.difficulty,
         "limit": plan.limit,
     }
