@@ -1,13 +1,15 @@
-"""``stkzoo tracks`` and ``stkzoo karts``, and how tables are shown."""
+"""``stkzoo tracks``, ``stkzoo karts`` and ``stkzoo completion``."""
 
 import contextlib
 import io
 import json
+import shutil
+import subprocess
 
 import pytest
 from rich.console import Console
 
-from stkzoo.cli import _console, main
+from stkzoo.cli import COMMANDS, _console, main
 
 
 def test_tracks_shows_the_data_of_tracks(capsys):
@@ -31,6 +33,39 @@ def test_karts_match_the_game(capsys):
     assert main(["karts"]) == 0
     shown = capsys.readouterr().out
     assert all(kart in shown for kart in karts)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "tcsh"])
+def test_completion_scripts_contain_all_commands(shell, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(command in script for command in COMMANDS)
+
+
+def completed(script, *words):
+    """Returns bash's completions of the last word."""
+    line = " ".join(words)
+    program = f"""
+source {script}
+COMP_WORDS=({" ".join(repr(word) for word in words)})
+COMP_CWORD={len(words) - 1}
+COMP_LINE='{line}'
+COMP_POINT={len(line)}
+_shtab_stkzoo
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    shell = [shutil.which("bash"), "-c", program]
+    done = subprocess.run(shell, capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
+    main(["completion", "bash"])
+    script = tmp_path / "stkzoo.bash"
+    script.write_text(capsys.readouterr().out)
+    assert completed(script, "stkzoo", "tour") == ["tournament"]
+    assert "--track" in completed(script, "stkzoo", "race", "--tra")
+    assert completed(script, "stkzoo", "race", "--error-handling", "re") == ["retire", "restart"]
 
 
 def shown(monkeypatch, width, columns, rows, **options):

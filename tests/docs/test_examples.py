@@ -57,6 +57,7 @@ PARSED = {
     "assets": "it is here already: tests/engine/test_assets.py",
     "benchmark": "hundreds of races: tests/evaluation/test_benchmark_races.py",
     "check": "tests/cli/test_new_and_check.py",
+    "completion": "tests/cli/test_tables.py",
     "demos": "whole races: tests/evaluation/test_demonstrations.py",
     "doctor": "tests/cli/test_doctor.py",
     "report": "tests/evaluation/test_tournament_report.py",
