@@ -38,7 +38,6 @@ LAYERS = [
             "stkzoo._reading",
             "stkzoo._schema",
             "stkzoo._temporary",
-            "stkzoo._turns",
             "stkzoo.kernel",
             "stkzoo.agent_names",
         ],

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._turns import CallTurn
 from stkzoo.engine import wire
 from stkzoo.engine.process import DRAWING_START_TIMEOUT, SpawnedProcess, explain_os_errors
-from stkzoo.engine.session import ProcessSession
+from stkzoo.engine.session import CallTurn, ProcessSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError, EngineCrashed
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import weakref
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -29,6 +30,35 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
 
 Controls = npt.NDArray[np.float32]
+
+
+class CallTurn:
+    """A turn that one thread holds during a call: ``with turn:``.
+
+    The same thread can nest calls, as callbacks and signal handlers do.
+
+    Raises:
+        ApiOrderError: another thread has the turn.
+    """
+
+    __slots__ = ("_lock",)
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise ApiOrderError(
+                "another thread's call runs; wait until it returns, or make an environment for "
+                "each thread"
+            )
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    def __reduce__(self) -> tuple[type[CallTurn], tuple[()]]:
+        """Pickles as a new turn, so each copy of an environment has its own turn."""
+        return CallTurn, ()
 
 
 class Session(ABC):

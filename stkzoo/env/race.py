@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._turns import CallTurn
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets
 from stkzoo.engine.race import RaceStart
-from stkzoo.engine.session import Session
+from stkzoo.engine.session import CallTurn, Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.episode import EndArrays, Episode
 from stkzoo.env.grid import draw_race, roster_of

@@ -399,7 +399,7 @@ def test_a_damaged_race_file_is_an_error(small, tmp_path):
         ("ai", {}, "expected a list of at least two"),
         (["ai"], {}, "needs at least two agents, such as my_agent and ai; this one has 1"),
         (["ai", "ai"], {}, "two agents are called 'ai'; give each a different name"),
-        (["random@:Ada", "ai@:ADA"], {}, "'ADA' (in different case); give"),
+        (["random@:Ada", "ai@:ADA"], {}, r"'ADA' \(in different case\); give"),
         (["ai", "nobody"], {}, "unknown driver 'nobody'"),
         (["ai:0", "random"], {}, "'ai:0' requires difficulty 0, but the races have difficulty 2"),
         (THREE, {"tracks": ["lighthous"]}, "Did you mean 'lighthouse'"),

@@ -285,7 +285,7 @@ def test_actions_of_the_ai_are_observed_as_choices():
 def test_other_views_are_refused():
     with pytest.raises(ConfigError, match="needs the full view"):
         race(view=lambda env: RacingObservations(VIEWS["simple"](env)))
-    with pytest.raises(ConfigError, match="polar positions under"):
+    with pytest.raises(ConfigError, match="found PolarObservations inside it"):
         race(view=lambda env: RacingObservations(PolarObservations(env)))
     with pytest.raises(ConfigError, match="game's own actions"):
         race(view=lambda env: RacingActions(VIEWS["control"](env)))

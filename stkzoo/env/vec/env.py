@@ -13,8 +13,8 @@ from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._checks import check_flag, check_type, check_whole, shortened
 from stkzoo._os import cpu_count
-from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
+from stkzoo.engine.session import CallTurn
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import drive_opponents
 from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps, shared_space

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 import zmq
 
-from stkzoo.drivers.messages import Failed, Ready, encode
+from stkzoo.drivers.messages import Decided, Ready, encode
 from stkzoo.errors import RemoteError
 from stkzoo.race import RaceListener, find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup
@@ -228,7 +228,7 @@ def test_a_lying_server_affects_only_its_own_kart(name):
 
 FLOODS = {
     "welcomes": Welcome(VERSION, "", [AgentOffer("liar", "lies", [])]),
-    "answers": Failed("error", "no", "", is_usable=True),
+    "answers": Decided([0.0] * 7, is_clipped=False),
 }
 
 
@@ -310,7 +310,7 @@ def test_a_reply_that_a_server_sends_before_the_observation_is_refused():
             result = run_race([*group.drivers, "ai"], listeners=[Waiting()], max_steps=2, **TRACK)
     row = next(row for row in result.agents if row.agent == "kart_0")
     assert [error.step for error in row.errors] == [1]
-    assert "a message 'acted' that was not requested" in row.errors[0].message
+    assert "a message 'decided' that was not requested" in row.errors[0].message
 
 
 def test_a_slow_inline_driver_does_not_use_up_the_time_of_a_servers_agent():
