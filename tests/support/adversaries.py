@@ -109,7 +109,7 @@ ADVERSARIES = {
     "nests its reply": Adversary("raw(frame(b'\\x91' * 65536))" + SLEEP, INVALID),
     "trickles": Adversary("raw(b'\\0\\0\\xf0\\0'); [trickle() for _ in range(10**6)]", LATE),
     "sends a long error": Adversary(
-        "channel().send(Failed('error', 'x' * 10**5, ''))" + SLEEP, "a message of"
+        "channel().send(Failed('error', 'x' * 10**5, '', True))" + SLEEP, "a message of"
     ),
     "answers twice": Adversary("twice()", "expected", step=2),
     "stalls at its second step": Adversary("later(time.sleep, 99)", LATE, step=1),
