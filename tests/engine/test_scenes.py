@@ -17,28 +17,23 @@ from tests.support.views import marked
 
 #: Runs a race of two players and four bots; prints a digest of all karts and items.
 RACE = """
-import hashlib, json, os, sys, pystk2
-pystk2.init(pystk2.GraphicsConfig.none())
-config = pystk2.RaceConfig(num_kart=6, seed=3, track=sys.argv[1], step_size=0.1)
-config.reverse = sys.argv[2] == "True"
-config.players.clear()
-kinds = pystk2.PlayerConfig.Controller
-for place in range(6):
-    kind = kinds.PLAYER_CONTROL if place < 2 else kinds.AI_CONTROL
-    config.players.append(pystk2.PlayerConfig(controller=kind))
-race, world, digest = pystk2.Race(config), pystk2.WorldState(), hashlib.sha256()
-race.start()
-for step in range(200):
-    turn = 0.4 if step // 7 % 2 else -0.4
-    action = pystk2.Action(acceleration=1.0, steer=turn, fire=step % 9 == 0, rescue=step == 120)
-    race.step([action, action])
-    world.update()
-    for kart in world.karts:
-        digest.update(kart.location.tobytes() + kart.velocity.tobytes())
-    for item in world.items:
-        digest.update(item.location.tobytes())
-print(json.dumps(digest.hexdigest()), flush=True)
-os._exit(0)
+import hashlib, json, sys
+import numpy as np
+from stkzoo import race_v0
+from stkzoo.mdp import action_of
+
+track, reverse = sys.argv[1], sys.argv[2] == "True"
+digest = hashlib.sha256()
+with race_v0.parallel_env(num_kart=6, agents=2, track=track, reverse=reverse) as env:
+    env.reset(seed=3)
+    for step in range(200):
+        turn = 0.4 if step // 7 % 2 else -0.4
+        action = action_of(np.array([1.0, turn, 0, 0, step % 9 == 0, 0, step == 120], np.float32))
+        env.step(dict.fromkeys(env.agents, action))
+        karts, items = env.snapshot.karts, env.snapshot.items
+        for records in (karts["location"], karts["velocity"], items["location"]):
+            digest.update(np.ascontiguousarray(records).tobytes())
+print(json.dumps(digest.hexdigest()))
 """
 
 
