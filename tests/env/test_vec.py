@@ -354,6 +354,18 @@ def test_a_killed_game_is_replaced_and_the_others_continue(make, prefetch, caplo
     assert trace[-1][4]["active"].all()
 
 
+def test_the_infos_of_a_crash_have_no_rewards_of_the_step_before(make):
+    envs = make(reward={"always": lambda step: np.ones(len(step.after.karts))})
+    envs.reset(seed=1)
+    before = envs.step(envs.action_space.sample())[4]
+    os.kill(pids(envs)[0], signal.SIGKILL)
+    _, rewards, _, _, infos = envs.step(envs.action_space.sample())
+    last = infos["final_info"]
+    assert before["reward/always"].tolist() == [1.0] * 4
+    assert last["reward/always"][:2].tolist() == rewards[:2].tolist() == [0.0, 0.0]
+    assert last["episode/reward/always"][:2].tolist() == [1.0, 1.0]
+
+
 @pytest.mark.slow
 def test_a_hanging_game_is_replaced(make):
     envs = make(engine_timeout=0.3)

@@ -283,10 +283,13 @@ class RaceSlots:
         observations, infos = self._latest
         if self.race.chains.has_rows:
             observations, infos = self.race.observe(agents), self.race.infos(agents)
+        has_crashed = bool(steps.crashed[self.slots.start])
         for slot, agent in zip(ended.tolist(), agents, strict=True):
-            row = slot - self.slots.start
+            row, info = slot - self.slots.start, infos[agent]
+            if has_crashed:  # the infos are those of the step before
+                info = {**info, **dict.fromkeys(filter(_is_of_a_step, info), 0.0)}
             episode = {"r": float(self._returns[row]), "l": self._num_steps}
-            info = {**infos[agent], "episode": episode, "track": self.track}
+            info = {**info, "episode": episode, "track": self.track}
             steps.finals[slot] = observations[agent], info
 
     def _start(self, seed: int | None, options: Mapping[str, Any], attempts: int) -> Started:
@@ -301,6 +304,11 @@ class RaceSlots:
     def _report(self, error: EngineError, consequence: str) -> None:
         self.num_crashes += 1
         logger.warning("race %d: %s (%s)", self._number, error.message, consequence)
+
+
+def _is_of_a_step(key: str) -> bool:
+    """Returns whether a key of infos is about a single step: a reward's term or an event."""
+    return key.startswith(("reward/", "event/"))
 
 
 def shared_space(by_agent: Mapping[str, spaces.Space[Any]], purpose: str) -> spaces.Space[Any]:
