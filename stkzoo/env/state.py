@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -66,6 +67,7 @@ class RaceState:
         self.race, self.snapshot = moment.episode.race, moment.episode.snapshot
         self.agents, self.roster = moment.agents, moment.roster
         self.is_open = True
+        self._lock = threading.RLock()  # a handler of a signal may close it
 
     @property
     def pid(self) -> int | None:
@@ -86,12 +88,14 @@ class RaceState:
         """
         if not self.is_open:
             raise ApiOrderError("the state was closed; save another with save_state()")
-        session.resume(self._session)
+        with self._lock:  # several threads may restore the same state
+            session.resume(self._session)
 
     def close(self) -> None:
         """Ends the paused game process; you may call it more than once."""
         self.is_open = False
-        self._session.close()
+        with self._lock:
+            self._session.close()
 
     def __enter__(self) -> RaceState:
         return self
