@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from stkzoo._os import PART_FILES, writing
+from stkzoo._os import PART_FILES, using_folder
 from stkzoo.errors import ConfigError
 
 #: Errors of file systems that have no locks.
@@ -60,8 +60,7 @@ def locked_folder(folder: Path, noun: str) -> Iterator[None]:
         ConfigError: the folder cannot be used, contains a link to a folder, or another program has
             locked it.
     """
-    what = f"the {noun}'s folder"
-    with writing(folder, what):
+    with using_folder(folder, noun):
         folder.mkdir(parents=True, exist_ok=True)
         for entry in folder.iterdir():
             if entry.is_symlink() and entry.is_dir():
@@ -71,14 +70,14 @@ def locked_folder(folder: Path, noun: str) -> Iterator[None]:
                 )
         lock = open_lock(folder / LOCK)
     try:
-        with writing(folder, what):
+        with using_folder(folder, noun):
             is_locked = try_lock(lock)
         if not is_locked:
             raise ConfigError(
                 f"another program works on the {noun} in {folder}; wait until it ends, or choose "
                 "another folder"
             )
-        with writing(folder, what):
+        with using_folder(folder, noun):
             for part in (*folder.glob(PART_FILES), *folder.glob(f"*/{PART_FILES}")):
                 part.unlink(missing_ok=True)
         yield

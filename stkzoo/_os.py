@@ -114,6 +114,27 @@ def _problem_of(file: Path) -> str:
     return ""
 
 
+@contextlib.contextmanager
+def using_folder(folder: Path, noun: str) -> Iterator[None]:
+    """Converts each OSError of a block that creates or opens an ``--output`` folder.
+
+    Args:
+        folder: the folder.
+        noun: what the folder is for, such as ``"run"``.
+
+    Raises:
+        ConfigError: the folder cannot be used.
+    """
+    try:
+        yield
+    except OSError as error:
+        is_file = isinstance(error, FileExistsError)  # mkdir's answer to a file
+        why = os.strerror(errno.ENOTDIR) if is_file else reason(error)
+        raise ConfigError(
+            f"the {noun}'s folder {folder} cannot be used: {why}; choose another --output"
+        ) from error
+
+
 def make_folder(folder: Path, noun: str) -> None:
     """Creates an ``--output`` folder, unless it exists.
 
@@ -124,7 +145,7 @@ def make_folder(folder: Path, noun: str) -> None:
     Raises:
         ConfigError: the folder cannot be created.
     """
-    with writing(folder, f"the {noun}'s folder"):
+    with using_folder(folder, noun):
         folder.mkdir(parents=True, exist_ok=True)
 
 
@@ -136,7 +157,7 @@ def write_whole(
 
     The temporary file is flushed to the disk before the replacement. After a crash of the program
     or the machine, ``path`` has either the new or the old content, never a part of it. After an
-    error in the block, the temporary file is removed.
+    error in the block, the temporary file is removed. An existing file keeps its permissions.
 
     Args:
         path: the file. If it is a link, the file replaces the link; what it names stays as it is.
@@ -154,12 +175,18 @@ def write_whole(
         # The name is cut, because systems limit names to 255 bytes, which can be 63 letters.
         part = target.with_name(f".stkzoo-{target.name[:50]}.{secrets.token_hex(4)}.part")
         try:
-            part.touch(exist_ok=False)
+            has_mode = target.exists() and not target.is_symlink()
+            mode = stat.S_IMODE(target.stat().st_mode) if has_mode else None
+            # The system applies the umask.
+            granted = 0o666 if mode is None else mode & 0o666 | 0o600
+            os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, granted))
         except OSError as error:  # without the temporary name, which means nothing to users
             raise OSError(error.errno, error.strerror) from error
         try:
             yield part
             _flush(part)
+            if mode is not None:
+                part.chmod(mode)
             part.replace(target)
         except BaseException:
             with contextlib.suppress(OSError):
@@ -173,15 +200,15 @@ def write_whole(
 def writing(
     path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
 ) -> Iterator[None]:
-    """Converts an OSError of a block that writes a file or creates a folder.
+    """Converts an OSError of a block that writes a file.
 
     Args:
-        path: the file or folder.
+        path: the file.
         noun: name of the content in the error text, such as ``"the plot"``.
         error_type: class of the error.
 
     Raises:
-        StkzooError: it cannot be written; the error is an ``error_type``.
+        StkzooError: the file cannot be written; the error is an ``error_type``.
     """
     try:
         yield

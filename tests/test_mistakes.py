@@ -69,10 +69,7 @@ COMMANDS = [
         "tournament",
         "a tournament needs at least two agents, such as my_agent and ai; this one has 0",
     ),
-    (
-        "tournament ai random --output text.zip",
-        "the tournament's folder text.zip cannot be written",
-    ),
+    ("tournament ai random --output text.zip", "Not a directory; choose another --output"),
     ("tournament --resume none", "none/plan.json has no tournament plan"),
     ("tournament --resume measured", "choose the file or folder of a tournament"),
     ("tournament --resume x --output y", "not allowed with argument --resume"),

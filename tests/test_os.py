@@ -1,4 +1,4 @@
-"""Files are replaced as a whole, and replace links."""
+"""Files are replaced as a whole, keep their permissions, and replace links."""
 
 import os
 
@@ -27,6 +27,15 @@ def test_a_new_file_has_the_permissions_of_the_umask(tmp_path):
     os.umask(0o022)
     write_text(tmp_path / "other.json", "new")
     assert mode_of(tmp_path / "other.json") == 0o644
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o444, 0o755])
+def test_a_replaced_file_keeps_its_permissions(mode, tmp_path):
+    file = tmp_path / "result.json"
+    file.write_text("old")
+    file.chmod(mode)
+    write_text(file, "new")
+    assert (file.read_text(), mode_of(file)) == ("new", mode)
 
 
 @pytest.mark.parametrize("link_kind", ["link", "hard link", "chain", "dangling"])

@@ -288,4 +288,6 @@ def test_unusable_arguments_are_refused(tmp_path, capsys):
     assert "expected a whole number from 0 to" in capsys.readouterr().err
     assert not run.exists()
     assert main([*TRAIN, "--output", str(file)]) == 2
-    assert f"the run's folder {file} cannot be written: " in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert f"the run's folder {file} cannot be used: " in error
+    assert "choose another --output" in error

@@ -34,7 +34,7 @@ from msgspec import Meta
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
-from stkzoo._os import write_text, writing
+from stkzoo._os import using_folder, write_text
 from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -151,7 +151,7 @@ class League:
         self.folder, self.arguments = Path(folder), arguments
         self.page = self.folder / _PAGE
         self._members = self.folder / _MEMBERS
-        with writing(self.folder, "the league's folder"):
+        with using_folder(self.folder, "league"):
             self._members.mkdir(parents=True, exist_ok=True)
         if os.path.lexists(self.folder / LEAGUE):
             self._state = read_run_file(_LeagueState, self.folder / LEAGUE)
