@@ -19,7 +19,7 @@ from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import Race, Started
 from stkzoo.env.vec.starts import AheadStarts
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
-from stkzoo.kernel import new_batch
+from stkzoo.kernel import new_batch, split_batch
 from stkzoo.views.plan import write_rows
 
 logger = logging.getLogger(__name__)
@@ -132,10 +132,9 @@ class SlotInfos:
         """Returns the info of each slot as a new dict of Python values; empty if it is idle."""
         infos: list[dict[str, Any]] = [{} for _ in range(self._count)]
         for table in self._tables.values():
-            rows = zip(*(values.tolist() for values in table.columns.values()), strict=True)
-            for slot, row in enumerate(rows):
-                if table.has[slot]:
-                    infos[slot] = dict(zip(table.columns, row, strict=True))
+            rows = split_batch(table.columns, tuple(range(self._count)))
+            for slot in np.flatnonzero(table.has).tolist():
+                infos[slot] = rows[slot]
         for slot, info in self._dicts.items():
             infos[slot] = dict(info)
         return infos
