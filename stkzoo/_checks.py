@@ -67,7 +67,10 @@ def check_number(
         ConfigError: the value is not a number or out of bounds.
     """
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    number = float(value) if is_number else math.nan  # type: ignore[arg-type]
+    try:
+        number = float(value) if is_number else math.nan  # type: ignore[arg-type]
+    except OverflowError:
+        number = math.inf
     if high is not None:
         is_valid, bounds = low <= number <= high, f"from {low:g} to {high:g}"
     else:

@@ -11,7 +11,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings, run_race
 
 
-@pytest.mark.parametrize("value", [True, "1", None, float("nan"), 0, -1, float("inf")])
+@pytest.mark.parametrize("value", [True, "1", None, float("nan"), 0, -1, float("inf"), 10**400])
 def test_values_other_than_positive_numbers_are_refused(value):
     with pytest.raises(ConfigError, match=r"wait is .*, expected a number of seconds above 0"):
         check_number("wait", value, unit="seconds")
