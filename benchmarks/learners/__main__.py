@@ -15,9 +15,9 @@ contender but engine, one policy drives all karts:
     rllib   PPO of Ray RLlib with stkzoo.agents.training.rllib.selfplay, if Ray is installed
 
 The first eight updates are not counted; later resets and learning are. Races copy one of eight
-starts, most of which exist before the measured updates, as in a long run. The time of all cores is
-divided into shares: the game's processes, observations, networks, learning, the rest of the
-programs, and waiting, when a core was idle.
+starts. Most starts are made before the measured updates, so a new start is as rare as in a long
+run. The time of all cores is divided into shares: the game's processes, observations, networks,
+learning, the rest of the programs, and waiting, when a core was idle.
 """
 
 from __future__ import annotations

@@ -38,6 +38,7 @@ from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._os import cpu_count, write_whole
 from stkzoo._schema import Level
+from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -67,7 +68,7 @@ from .lessons import Lesson, Numbers, fit, held_out
 PATIENCE = 1.7
 #: Time ratio of a kart that does not finish.
 UNFINISHED = 2.0
-_STEP, _COUNTDOWN = 0.1, 20
+_COUNTDOWN = 20
 
 _POLICY, _PLOT = "policy.safetensors", "imitation.png"
 #: Arguments that may change when a run continues.
@@ -314,7 +315,7 @@ def drive_race(
         seed=seed,
         difficulty=difficulty,
         error_handling="raise",
-        max_steps=_COUNTDOWN + math.ceil(PATIENCE * median / _STEP),
+        max_steps=_COUNTDOWN + math.ceil(PATIENCE * median / STEP),
         action_timeout=None,
     )
     times = [row.finish_time for row in result.agents]
