@@ -24,11 +24,18 @@ class Mlp:
             together.
         is_tanh: whether tanh follows each layer except the last; otherwise a rectified linear unit
             does.
+        ends_in_tanh: whether tanh also follows the last layer.
     """
 
-    def __init__(self, layers: Sequence[tuple[FloatArray, FloatArray]], is_tanh: bool) -> None:
+    def __init__(
+        self,
+        layers: Sequence[tuple[FloatArray, FloatArray]],
+        is_tanh: bool,
+        *,
+        ends_in_tanh: bool = False,
+    ) -> None:
         hidden = _TANH if is_tanh else _RECTIFIER
-        activations = [*[hidden] * (len(layers) - 1), _LINEAR]
+        activations = [*[hidden] * (len(layers) - 1), _TANH if ends_in_tanh else _LINEAR]
         self._layers = [
             (_padded(matrix), _padded(bias[None])[0], activation)
             for (matrix, bias), activation in zip(layers, activations, strict=True)

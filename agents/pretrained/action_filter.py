@@ -16,6 +16,8 @@ from stkzoo.agents.planning.motion import DRIFT_TURN
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
 
+from .recurrent import GatedUnit
+
 #: Size of a policy's input with the filter: the view, and the filter's memory.
 INPUT_SIZE = SIZE + MEMORY_SIZE
 #: Multiplying an input by this mirrors it left to right.
@@ -56,6 +58,11 @@ class ActionFilter:
         recovers: whether stuck karts free themselves.
         samples: whether :meth:`drive` samples choices from their probabilities. The seed is the
             kart's first observation, so a race can be repeated.
+        unit: see :attr:`unit`.
+
+    Attributes:
+        unit: computes the memory of a recurrent policy; ``None`` without one.
+        recurrent: this memory, ``(karts, H)``; 0 until a kart has left the grid.
     """
 
     def __init__(
@@ -66,7 +73,10 @@ class ActionFilter:
         *,
         recovers: bool = True,
         samples: bool = False,
+        unit: GatedUnit | None = None,
     ) -> None:
+        self.unit = unit
+        self.recurrent = np.zeros((karts, unit.size if unit else 0), np.float32)
         self._hold, self._recovers, self._samples = hold, recovers, samples
         self._random: np.random.Generator | None = None
         self._memory = memory or DriverMemory(karts, DriverParameters())
@@ -106,13 +116,16 @@ class ActionFilter:
             for row, single in enumerate(filters):
                 single._memory.take(joined._memory, slice(row, row + 1))
                 single._has_moved = joined._has_moved[row : row + 1]
+                single.recurrent = joined.recurrent[row : row + 1]
         return list(done)
 
     @classmethod
     def _joined(cls, filters: Sequence[ActionFilter]) -> ActionFilter:
         memory = DriverMemory.joined([single._memory for single in filters])
-        joined = cls(0, filters[0]._hold, memory, recovers=filters[0]._recovers)
+        first = filters[0]
+        joined = cls(0, first._hold, memory, recovers=first._recovers, unit=first.unit)
         joined._has_moved = np.concatenate([single._has_moved for single in filters])
+        joined.recurrent = np.concatenate([single.recurrent for single in filters])
         return joined
 
     def _noise(self, observation: FloatArray) -> FloatArray:
@@ -128,19 +141,23 @@ class ActionFilter:
             views: ``(karts, F)`` observations in the view ``racing`` or ``contest``.
 
         Returns:
-            Input of the policy, ``(karts, F + 12)``: the views and the memory.
+            Input of the policy, ``(karts, F + 12 + H)``: the views, the memory, and that of a
+                recurrent policy.
         """
         self._memory.look(20.0 * views[:, _SPEED], views[:, _SKEED])
         aside = np.hypot(views[:, _LINE], views[:, _LINE + 2]) - views[:, _ROOM]
         self._memory.look_around(10.0 * aside)
         self._has_moved |= np.abs(views[:, _SPEED]) > _MOVES
         self._memory.forget(np.flatnonzero(~self._has_moved))  # karts on the grid are not stuck
+        if self.unit:
+            seen = np.concatenate([views, self._memory.numbers()], axis=1)
+            self.recurrent = self.unit(seen, self.recurrent) * self._has_moved[:, None]
         return self.see(views)
 
     def see(self, views: FloatArray) -> FloatArray:
         """Returns the policy's input without advancing the memory."""
         self._views = views
-        return np.concatenate([views, self._memory.numbers()], axis=1)
+        return np.concatenate([views, self._memory.numbers(), self.recurrent], axis=1)
 
     def apply(self, choices: npt.NDArray[Any]) -> IntArray:
         """Returns the filtered choices ``(karts, 5)`` for choices made from the latest input."""
@@ -170,7 +187,7 @@ class ActionFilter:
     def forget(self, karts: slice | IntArray) -> None:
         """Resets some karts."""
         self._memory.forget(np.arange(len(self._has_moved))[karts])
-        self._has_moved[karts] = False
+        self._has_moved[karts], self.recurrent[karts] = False, 0.0
 
     def _drift_side(
         self, chosen: IntArray, before: IntArray, steps: IntArray, may_begin: BoolArray

@@ -70,7 +70,9 @@ def new_state(folder: str | Path) -> PlanDriver | ActionFilter:
     policy = read_policy(folder)
     if isinstance(policy, MlpDriver):
         card = read_card(folder)
-        return ActionFilter(1, policy.hold, recovers=card.recovers, samples=card.samples)
+        return ActionFilter(
+            1, policy.hold, recovers=card.recovers, samples=card.samples, unit=policy.unit
+        )
     return PlanDriver(1, read_numbers(folder))
 
 

@@ -141,10 +141,10 @@ def members_of(
     networks, policies = split_members(weights)
     for number, policy in enumerate(policies):
         check_shapes(policy, f"policy {number} of {name}")
-    return (
-        [MlpDriver(arrays, f"network {n} of {name}") for n, arrays in enumerate(networks)],
-        [RacingPolicy(policy) for policy in policies],
-    )
+    drivers = [MlpDriver(arrays, f"network {n} of {name}") for n, arrays in enumerate(networks)]
+    if any(driver.unit for driver in drivers):
+        raise ConfigError(f"{name} has a recurrent network, expected networks without memory")
+    return drivers, [RacingPolicy(policy) for policy in policies]
 
 
 def split_members(

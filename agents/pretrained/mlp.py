@@ -1,6 +1,8 @@
 """A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, evaluated without PyTorch.
 
-The file format is safetensors with the policy's state dict and its minimum steps of a drift.
+The file format is safetensors with the policy's state dict and its minimum steps of a drift. A
+recurrent policy is the same with a memory as additional input, and the weights of the unit that
+computes the memory (:mod:`.recurrent`).
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import CHOICES, CONTEST_SIZE, SIZE
 
 from .action_filter import INPUT_SIZE
+from .recurrent import GatedUnit, memory_size
 from .weights import load_weights
 
 #: Name of the view by the size of the input.
@@ -47,7 +50,9 @@ class MlpDriver:
 
     Attributes:
         hold: minimum steps of a drift.
-        inputs: size of the input: the view, and usually the memory of the action filter.
+        inputs: size of the input: the view, usually the memory of the action filter, and the
+            memory of a recurrent policy.
+        unit: computes the memory of a recurrent policy; ``None`` without one.
         view: name of the view: ``"racing"`` or ``"contest"``.
         hidden: units of the hidden layers.
 
@@ -64,8 +69,10 @@ class MlpDriver:
         hidden = itertools.takewhile(lambda name: f"{name}.weight" in weights, names)
         layers = [_layer(weights, name) for name in (*hidden, _LAST)]
         shapes = [matrix.shape for matrix, _ in layers]
-        self.inputs = shapes[0][-1] if shapes[0][-1] in _VIEWS else INPUT_SIZE
-        self.view = _VIEWS[self.inputs]
+        size = memory_size(weights)
+        seen = shapes[0][-1] - size if shapes[0][-1] - size in _VIEWS else INPUT_SIZE
+        self.inputs, self.view = seen + size, _VIEWS[seen]
+        self.unit = GatedUnit(weights, seen, name) if size else None
         sizes = [self.inputs, *(len(bias) for _, bias in layers)]
         wanted = list(zip(sizes[1:], sizes, strict=False))
         arrays = [array for layer in layers for array in layer]

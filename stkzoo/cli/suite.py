@@ -182,10 +182,11 @@ def _train(arguments: TrainArguments) -> None:
     also after a kill, repeat the command.
 
     Algorithms:
-      ippo     independent PPO: learns from each kart's own view and reward
-      mappo    the same with a value network that also sees the other learners
-      pfsp     ippo that also meets past policies, above all those that beat it
-      blind    ippo that does not see which karts are mates
+      ippo       independent PPO: learns from each kart's own view and reward
+      mappo      the same with a value network that also sees the other learners
+      pfsp       ippo that also meets past policies, above all those that beat it
+      recurrent  ippo whose policy has a memory
+      blind      ippo that does not see which karts are mates
 
     Examples:
       stkzoo suite train solo-general ippo

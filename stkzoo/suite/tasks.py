@@ -34,7 +34,7 @@ DIFFICULTY = 3
 _SEVERAL, _TEAMS = "several learners", "teams"
 #: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and what their tasks must
 #: have; empty for nothing.
-ALGORITHMS = {"ippo": "", "mappo": _SEVERAL, "pfsp": _SEVERAL, "blind": _TEAMS}
+ALGORITHMS = {"ippo": "", "mappo": _SEVERAL, "pfsp": _SEVERAL, "recurrent": "", "blind": _TEAMS}
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 

@@ -13,15 +13,15 @@ from stkzoo.agents.planning.driver import ALL_LOOKS, CHOICES, INPUT_SIZE
 from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained import action_filter
-from stkzoo.agents.pretrained.driver import make_actor, new_state, read_policy
-from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
+from stkzoo.agents.pretrained.driver import make_actor, make_batch_actor, new_state, read_policy
+from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_members, members_of
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, driver_names, find_driver, run_race
-from stkzoo.wrappers.racing import CONTEST_SIZE, surroundings_of
+from stkzoo.wrappers.racing import CONTEST_SIZE, PLACES, surroundings_of
 from tests.support.networks import small_network
 
 LEARNED = [name for name in driver_names() if name.startswith("pretrained:")]
@@ -87,6 +87,42 @@ def test_an_agent_in_the_contest_view_can_sample_its_choices(tmp_path):
     assert (results["samples"] == results["again"]).all()
     assert (results["samples"] != results["likeliest"]).any()
     assert (results["samples"][:, 0] != results["samples"][:, 1]).any()
+
+
+def recurrent_network(inputs=CONTEST_SIZE + MEMORY_SIZE, size=16):
+    chance = np.random.default_rng(1)
+    shapes = {"seen.weight": (3 * size, inputs), "seen.bias": (3 * size,)}
+    unit = {
+        f"memory.{name}": chance.normal(0, 0.2, shape).astype(np.float32)
+        for name, shape in {**shapes, "kept.weight": (3 * size, size)}.items()
+    }
+    return small_network(inputs=inputs + size) | unit
+
+
+def test_each_kart_of_a_recurrent_agent_has_its_own_memory(tmp_path):
+    """Karts driven together have the same memory as if driven one by one, bit for bit."""
+    save_weights(tmp_path / "policy.safetensors", recurrent_network())
+    agent = export_policy(tmp_path / "policy.safetensors", "mindful", tmp_path / "mindful")
+    act, act_together = make_actor(agent), make_batch_actor(agent)
+    alone, together = ([new_state(agent) for _ in range(3)] for _ in range(2))
+    chance = np.random.default_rng(0)
+    for step in range(6):
+        seen = chance.normal(size=(3, CONTEST_SIZE)).astype(np.float32)
+        seen[: 2 if step < 3 else 3, PLACES["velocity"]] = 1.0
+        seen[2 if step < 3 else 3 :, PLACES["velocity"]] = 0.0  # on the grid
+        singly = [act(state, row) for state, row in zip(alone, seen, strict=True)]
+        assert np.array_equal(act_together(together, list(seen)), singly)
+        memory = np.concatenate([state.recurrent for state in alone])
+        assert np.array_equal(np.concatenate([state.recurrent for state in together]), memory)
+        assert memory.any(axis=1).tolist() == [True, True, step >= 3]
+
+
+def test_weights_of_a_memory_with_other_shapes_are_refused():
+    weights = recurrent_network() | {"memory.seen.bias": np.zeros(47, np.float32)}
+    with pytest.raises(ConfigError, match=r"memory.seen.bias.* of .*\(47,\).*\(48,\)"):
+        MlpDriver(weights)
+    with pytest.raises(ConfigError, match="recurrent network, expected networks without memory"):
+        members_of(join_members([recurrent_network()], []), "mixed")
 
 
 class Controls(RaceListener):

@@ -78,6 +78,7 @@ def arrays_of(learner):
         ("ippo", "solo-general", 2),
         pytest.param("mappo", "team-2v2", 1, marks=pytest.mark.matrix),
         pytest.param("pfsp", "selfplay-5", 1, marks=pytest.mark.matrix),
+        pytest.param("recurrent", "versus", 1, marks=pytest.mark.matrix),
     ],
 )
 def test_a_run_learns_and_resumes_bit_for_bit(tmp_path, kind, task, actors):
@@ -137,12 +138,39 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
     assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 1]).all()
     assert (rollout["rewards"][:, 2] == rollout["rewards"][:, 3]).all()
     assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 2]).any()
-    columns = network.tensors(rollout[3])
-    log_probability, entropy, _, values = network.evaluate(columns)
-    told = rollout["log_probability"][3]
+    check_evaluation(network, rollout[3][:, None])
+
+
+def check_evaluation(network, rows):
+    """Checks that the network in PyTorch agrees with the actor that drove rows ``(N, L)``."""
+    columns = network.tensors(rows)
+    used = columns[0].new_ones(rows.shape, dtype=bool)
+    log_probability, entropy, _, values = network.evaluate(columns, used)
+    told = rows["log_probability"].reshape(-1)
     assert np.allclose(log_probability.detach().numpy(), told, atol=1e-4)
-    assert np.allclose(values.detach().numpy() * 10.0, rollout["values"][3], atol=1e-4)
+    assert np.allclose(values.detach().numpy() * 10.0, rows["values"].reshape(-1), atol=1e-4)
     assert (entropy > 0).all()
+
+
+def test_a_recurrent_policy_remembers_until_its_race_ends(tmp_path):
+    """The memory begins anew in step 40, the middle of the third sequence."""
+    actor, rollout, network = actor_of(tmp_path, "recurrent", "selfplay-5", 64, max_cycles=40)
+    try:
+        actor.begin([5])
+        actor.drive(0, *network.weights(), {})
+    finally:
+        actor.close()
+    size = network.shape.memory_size
+    begins = ~rollout["inputs"][..., -size:].any(axis=2)
+    assert rollout["ended"][39].all()
+    assert begins[40].all()
+    assert not begins[30:40].any()
+    sequences = rollout.reshape(4, 16, 5).swapaxes(1, 2).reshape(20, 16)
+    check_evaluation(network, sequences)
+    sequences["inputs"][12, 4, 0] += 1.0
+    (inputs, *_), before = network.tensors(sequences), sequences["inputs"][..., -size:]
+    apart = (network._remembered(inputs).detach().numpy()[..., -size:] - before)[12]
+    assert (np.abs(apart).max(axis=1) > 1e-5).tolist() == [False] * 4 + [True] * 4 + [False] * 8
 
 
 def test_a_kart_that_has_finished_shares_the_later_rewards_of_its_mate(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 
 from stkzoo.agents.planning import BoolArray, FloatArray, IntArray
 from stkzoo.agents.pretrained.action_filter import ActionFilter
+from stkzoo.agents.pretrained.recurrent import GatedUnit
 from stkzoo.wrappers.racing import CHOICES, CONTEST_MIRROR
 
 
@@ -18,11 +19,17 @@ class FilteredView:
     Args:
         count: number of karts.
         hold: minimum steps of a drift.
+        size: size of the memory of a recurrent policy; 0 without one.
     """
 
-    def __init__(self, count: int, hold: int) -> None:
+    def __init__(self, count: int, hold: int, size: int = 0) -> None:
         self._filter = ActionFilter(count, hold)
+        self._filter.recurrent = np.zeros((count, size), np.float32)
         self._is_mirrored = np.zeros(count, np.bool_)
+
+    def take_unit(self, unit: GatedUnit) -> None:
+        """Changes the unit that computes the memory of a recurrent policy."""
+        self._filter.unit = unit
 
     def begin(self, rows: IntArray, is_mirrored: BoolArray) -> None:
         """Empties the memory of some karts, whose race begins."""
@@ -30,7 +37,7 @@ class FilteredView:
         self._is_mirrored[rows] = is_mirrored
 
     def observe(self, seen: FloatArray, *, advances: bool = True) -> FloatArray:
-        """Returns the inputs of a policy, ``(karts, F + 12)``."""
+        """Returns the inputs of a policy, ``(karts, F + 12 + size)``."""
         views = np.where(self._is_mirrored[:, None], seen * CONTEST_MIRROR[: seen.shape[1]], seen)
         return (self._filter.look if advances else self._filter.see)(views)
 

@@ -98,7 +98,7 @@ def _network_match_driver(policy: MlpDriver) -> MatchDriver:
     """Returns a driver that takes a network's most likely choices on the view ``racing``."""
 
     def take_karts(count: int) -> KartController:
-        action_filter = ActionFilter(count, policy.hold)
+        action_filter = ActionFilter(count, policy.hold, unit=policy.unit)
 
         def control(seen: Seen) -> FloatArray:
             inputs = action_filter.look(racing_features(around_of(seen)))

@@ -34,8 +34,6 @@ _MAX_GRADIENT = 0.5
 _LEAST_SCALE = np.float32(0.2)
 #: Name of the weights of a policy's first layer in files.
 _FIRST_LAYER = "mlp_extractor.policy_net.0.weight"
-#: Parts of a network with a PyTorch state.
-_PARTS = ("policy", "value", "optimizer")
 #: Initial biases by index of the logit, on the view ``racing``: prefer going to braking, and rarely
 #: drift or call the rescue. Without them, karts stand still for most of their first races.
 FIRST_BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
@@ -52,6 +50,8 @@ class ActorCritic(ABC):
 
     Attributes:
         torch: the module ``torch``.
+        sequence: number of successive steps that the policy learns from together.
+        modules: names of the attributes that are modules with parameters.
         policy: layers of the policy.
         value: layers of the value network.
         optimizer: optimizer of both; its first parameter group is the policy's.
@@ -66,6 +66,8 @@ class ActorCritic(ABC):
 
     #: Name in ``torch.nn`` of the module between two layers of the policy.
     activation: ClassVar[str]
+    sequence: ClassVar[int] = 1
+    modules: ClassVar[tuple[str, ...]] = ("policy", "value")
 
     def __init__(
         self, shape: PolicyShape, hidden: Sequence[int], seed: int, kl_coef: float = 0.0
@@ -123,24 +125,32 @@ class ActorCritic(ABC):
         }
 
     def tensors(self, rows: npt.NDArray[np.void]) -> list[Any]:
-        """Returns the inputs of :meth:`evaluate` for rows of a rollout, as tensors ``(N, ...)``."""
+        """Returns the inputs of :meth:`evaluate` for rows of a rollout.
+
+        Args:
+            rows: ``(N, L)`` rows, sequences of :attr:`sequence` successive steps.
+
+        Returns:
+            Tensors ``(N, L, ...)``.
+        """
         seen = (critic_inputs(rows) - self.mean) * self.scale
         central = np.clip(seen, -INPUT_CLIP, INPUT_CLIP, dtype=np.float32)
         inputs = self.policy_inputs(rows, central)
         arrays = inputs, central, rows["prior"].copy(), rows["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 
-    def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+    def evaluate(self, columns: Sequence[Any], used: Any) -> tuple[Any, Any, Any, Any]:
         """Evaluates the choices in rows of a rollout.
 
         Args:
             columns: tensors of :meth:`tensors`.
+            used: ``(N, L)`` bool, the M rows to evaluate.
 
         Returns:
-            Tensors ``(N,)``: log-probability of the choices, entropy of the policy [nats], its KL
+            Tensors ``(M,)``: log-probability of the choices, entropy of the policy [nats], its KL
                 divergence from the prior, and the normalized value.
         """
-        inputs, central, prior, choices = columns
+        inputs, central, prior, choices = (column[used] for column in columns)
         logits, log_softmax = self.policy(inputs), self.torch.log_softmax
         if self.shape.has_prior:
             logits = logits + prior
@@ -160,19 +170,21 @@ class ActorCritic(ABC):
         """Makes a gradient step on a loss."""
         self.optimizer.zero_grad()
         loss.backward()
-        for layers in (self.policy, self.value):
-            self.torch.nn.utils.clip_grad_norm_(layers.parameters(), _MAX_GRADIENT)
+        for name in self.modules:
+            parameters = getattr(self, name).parameters()
+            self.torch.nn.utils.clip_grad_norm_(parameters, _MAX_GRADIENT)
         self.optimizer.step()
 
     def state(self) -> dict[str, Any]:
         """Returns everything that learning changes as tensors, for :meth:`restore`."""
-        parts = {name: getattr(self, name).state_dict() for name in _PARTS}
+        names = *self.modules, "optimizer"
+        parts = {name: getattr(self, name).state_dict() for name in names}
         scales = {"mean": self.mean, "scale": self.scale, "returns": self.returns}
         return parts | {name: self.torch.from_numpy(array) for name, array in scales.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restores a :meth:`state`."""
-        for name in _PARTS:
+        for name in (*self.modules, "optimizer"):
             getattr(self, name).load_state_dict(state[name])
         for name in ("mean", "scale", "returns"):
             setattr(self, name, state[name].numpy())
@@ -254,6 +266,7 @@ class RacingNetwork(ActorCritic):
         num_mates: number of other learners whose own state the value network sees too.
         hold: minimum steps of a drift, for files.
         unseen: inputs of the policy that must be 0 in training. The policy ignores them.
+        memory_size: size of the memory of a recurrent policy; 0 without one.
     """
 
     activation = "Tanh"
@@ -266,8 +279,9 @@ class RacingNetwork(ActorCritic):
         num_mates: int = 0,
         hold: int = 0,
         unseen: Sequence[int] = (),
+        memory_size: int = 0,
     ) -> None:
-        super().__init__(racing_shape(inputs, num_mates), hidden, seed)
+        super().__init__(racing_shape(inputs, num_mates, memory_size), hidden, seed)
         self._hold = hold
         with self.torch.no_grad():
             self.policy[0].weight[:, list(unseen)] = 0.0
@@ -302,6 +316,61 @@ class RacingNetwork(ActorCritic):
             for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
             for part in ("weight", "bias")
         }
+
+
+class RecurrentNetwork(RacingNetwork):
+    """A recurrent policy, and a value network that sees its memory.
+
+    The memory (:mod:`stkzoo.agents.pretrained.recurrent`) is an additional input of both. It learns
+    from sequences that begin with the memory of the rollout.
+
+    Args:
+        hidden: see :class:`RacingNetwork`.
+        seed: see :class:`RacingNetwork`.
+        inputs: number of the policy's inputs without the memory.
+        hold: see :class:`RacingNetwork`.
+        memory_size: size of the memory.
+    """
+
+    sequence = 16
+    modules = (*ActorCritic.modules, "memory")
+
+    def __init__(
+        self, hidden: Sequence[int], seed: int, inputs: int, hold: int, memory_size: int
+    ) -> None:
+        super().__init__(hidden, seed, inputs, hold=hold, memory_size=memory_size)
+        nn, rows = self.torch.nn, 3 * memory_size
+        seen, kept = nn.Linear(inputs, rows), nn.Linear(memory_size, rows, bias=False)
+        for layer in (seen, kept):
+            nn.init.orthogonal_(layer.weight)
+        nn.init.zeros_(seen.bias)
+        self.memory = nn.ModuleDict({"seen": seen, "kept": kept})
+        self.optimizer.param_groups[0]["params"].extend(self.memory.parameters())
+
+    def evaluate(self, columns: Sequence[Any], used: Any) -> tuple[Any, Any, Any, Any]:
+        """See :class:`ActorCritic`."""
+        inputs, *others = columns
+        return super().evaluate([self._remembered(inputs), *others], used)
+
+    def _remembered(self, inputs: Any) -> Any:
+        """Returns inputs ``(N, L, F + H)`` with the memories of the current weights."""
+        torch, size = self.torch, self.shape.memory_size
+        seen, before = inputs.split([self.shape.inputs - size, size], dim=2)
+        has_memory = before.any(dim=2, keepdim=True)  # a new race begins without
+        gates_seen, news_seen = self.memory["seen"](seen).split([2 * size, size], dim=2)
+        gates_kept, news_kept = self.memory["kept"].weight.split([2 * size, size])
+        memories = [before[:, 0]]
+        for step in range(1, self.sequence):
+            memory = memories[-1]
+            gates = (1 + torch.tanh(gates_seen[:, step] + memory @ gates_kept.T)) / 2
+            reset, keep = gates.chunk(2, dim=1)
+            news = torch.tanh(news_seen[:, step] + (reset * memory) @ news_kept.T)
+            memories.append(has_memory[:, step] * (keep * memory + (1 - keep) * news))
+        return torch.cat([seen, torch.stack(memories, dim=1)], dim=2)
+
+    def _named(self) -> dict[str, Any]:
+        parts = self.memory.state_dict(keep_vars=True).items()
+        return super()._named() | {f"memory.{name}": tensor for name, tensor in parts}
 
 
 def _make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:

@@ -20,6 +20,7 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import Network, log_sum
+from stkzoo.agents.pretrained.recurrent import GatedUnit
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, PLACES, SIZE
 
@@ -87,6 +88,7 @@ class PolicyShape:
         columns: choices to sample; the others are the most likely ones and count as certain.
         has_prior: whether its logits are added to a prior.
         state_size: size of the race's state, which the value network sees too; 0 for none.
+        memory_size: size of the memory of a recurrent policy, its last inputs; 0 without one.
     """
 
     inputs: int
@@ -94,6 +96,7 @@ class PolicyShape:
     columns: tuple[int, ...]
     has_prior: bool = False
     state_size: int = 0
+    memory_size: int = 0
 
     @property
     def heads(self) -> tuple[slice, ...]:
@@ -124,15 +127,18 @@ def plan_shape(columns: Sequence[int]) -> PolicyShape:
     return PolicyShape(INPUT_SIZE, PLAN_CHOICES, tuple(columns), has_prior=True)
 
 
-def racing_shape(inputs: int = SIZE, num_mates: int = 0) -> PolicyShape:
+def racing_shape(inputs: int = SIZE, num_mates: int = 0, memory_size: int = 0) -> PolicyShape:
     """Returns what a policy on the view ``racing`` or ``contest`` sees and chooses.
 
     Args:
-        inputs: number of its inputs.
+        inputs: number of its inputs, without those of a recurrent policy's memory.
         num_mates: number of other learners whose own state the value network sees too.
+        memory_size: size of the memory of a recurrent policy; 0 without one.
     """
-    size = num_mates * _OWN.stop
-    return PolicyShape(inputs, CHOICES, tuple(range(len(CHOICES))), state_size=size)
+    columns, state_size = tuple(range(len(CHOICES))), num_mates * _OWN.stop
+    return PolicyShape(
+        inputs + memory_size, CHOICES, columns, state_size=state_size, memory_size=memory_size
+    )
 
 
 def critic_inputs(rows: npt.NDArray[np.void]) -> FloatArray:
@@ -285,6 +291,7 @@ class RaceActor:
         logits, values = policy_logits(policy), Network(critic)
         for part in self._parts:
             part.take_odds(odds)
+            part.take_memory(policy)
         for step in self._rollouts[number]:
             for part in self._parts:
                 part.send(step[part.slots], logits, values)
@@ -324,7 +331,7 @@ class GroupActor:
             races = RaceVectorEnv(group.num_races, **group.options)
             self.envs: Any = races
             if arguments.hold is not None:
-                view = FilteredView(races.num_envs, arguments.hold)
+                view = FilteredView(races.num_envs, arguments.hold, arguments.shape.memory_size)
                 self.envs = MirroredRaces(races, view, MIRROR_SHARE)
         else:
             self.envs = PlanVectorEnv(
@@ -359,6 +366,12 @@ class GroupActor:
             for race in range(self._group.num_races):
                 self._begin_race(race)
         self._are_new = False
+
+    def take_memory(self, policy: Weights) -> None:
+        """Sets how a recurrent policy computes its memory."""
+        if size := self._arguments.shape.memory_size:
+            inputs = self._arguments.shape.inputs - size
+            self.envs.view.take_unit(GatedUnit(policy, inputs, "the policy"))
 
     def send(self, step: npt.NDArray[np.void], logits: Any, values: Network) -> None:
         """Chooses, starts a step of the races and fills a row of the rollout with what was seen."""

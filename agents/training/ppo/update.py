@@ -81,16 +81,21 @@ def update(
         advantages_of(rollout, after, settings.gamma, settings.gae_lambda)
         for rollout, after in zip(rollouts, last_values, strict=True)
     ]
-    rows = [rollout["active"] & rollout["driven"] for rollout in rollouts]
-    seen = np.concatenate([rollout[used] for rollout, used in zip(rollouts, rows, strict=True)])
-    advantages = np.concatenate([values[used] for values, used in zip(gained, rows, strict=True)])
+    length = network.sequence
+    seen, advantages = (
+        np.concatenate([_sequences(part, length) for part in parts]) for parts in (rollouts, gained)
+    )
+    used = seen["active"] & seen["driven"]
+    learns = used.any(axis=1)
+    seen, advantages, used = seen[learns], advantages[learns], used[learns]
     returns = advantages + seen["values"]
-    network.normalize_returns(returns)
+    network.normalize_returns(returns[used])
     mean, unit = network.returns
-    from_numpy = network.torch.from_numpy
+    from_numpy, learned = network.torch.from_numpy, advantages[used]
     data = [
+        from_numpy(used),
         from_numpy(seen["log_probability"].copy()),
-        from_numpy((advantages - advantages.mean()) / (advantages.std() + 1e-6)),
+        from_numpy((advantages - learned.mean()) / (learned.std() + 1e-6)),
         from_numpy((returns - mean) / unit),
         *network.tensors(seen),
     ]
@@ -100,7 +105,7 @@ def update(
         epochs += 1
         kl = []
         order = from_numpy(random.permutation(len(seen)))
-        for batch in order.split(settings.batch_size):
+        for batch in order.split(max(settings.batch_size // length, 1)):
             if len(batch) > 1:
                 step_figures = _gradient_step(network, [c[batch] for c in data], settings, ent_coef)
                 kl.append(step_figures["kl"])
@@ -108,23 +113,31 @@ def update(
                     figures.setdefault(name, []).append(value)
         if np.mean(kl) > settings.target_kl:
             break
-    unexplained = np.var(advantages) / max(float(np.var(returns)), 1e-9)
+    unexplained = np.var(learned) / max(float(np.var(returns[used])), 1e-9)
     return {
         **{name: float(np.mean(values)) for name, values in figures.items()},
         "epochs": epochs,
         "learning_rate": network.optimizer.param_groups[1]["lr"] / _VALUE_RATE,
         "explained": float(1.0 - unexplained),
-        "reward": float(sum(rollout["rewards"].sum() for rollout in rollouts) / len(seen)),
+        "reward": float(sum(rollout["rewards"].sum() for rollout in rollouts) / len(learned)),
     }
+
+
+def _sequences(rows: npt.NDArray[Any], length: int) -> npt.NDArray[Any]:
+    """Returns the rows ``(T, S)`` of slots as sequences of successive steps, ``(N, length)``."""
+    by_slot = rows.reshape(-1, length, rows.shape[1]).swapaxes(1, 2)
+    sequences: npt.NDArray[Any] = by_slot.reshape(-1, length)
+    return sequences
 
 
 def _gradient_step(
     network: ActorCritic, batch: Sequence[Any], settings: RolloutArguments, ent_coef: float
 ) -> dict[str, float]:
     """Makes a gradient step on PPO's clipped loss; returns figures."""
-    old, advantages, returns, *columns = batch
+    used, *parts = batch
+    old, advantages, returns = (part[used] for part in parts[:3])
     torch, clip = network.torch, settings.clip_range
-    log_probability, entropy, prior_kl, values = network.evaluate(columns)
+    log_probability, entropy, prior_kl, values = network.evaluate(parts[3:], used)
     log_ratio = log_probability - old
     ratio = log_ratio.exp()
     clipped = ratio.clamp(1 - clip, 1 + clip)

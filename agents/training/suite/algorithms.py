@@ -10,6 +10,7 @@ stkzoo suite train versus ippo
 - ``pfsp``, prioritized fictitious self-play: in half of the races, one of 40 past policies drives
   one of the teams or half of the karts (:mod:`stkzoo.agents.training.ppo.opponents`). Its
   kart-steps count too.
+- ``recurrent`` is ``ippo`` with a memory of its own, a gated recurrent unit (Cho et al., 2014).
 - ``blind`` is ``ippo`` whose karts do not see which karts are mates, for comparison in tasks with
   teams.
 
@@ -22,6 +23,7 @@ files, `arguments.json`, the saved policies, and at the end `agent`, the trained
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,7 +39,7 @@ from stkzoo.wrappers.racing import CONTEST_SIZE, SIZE
 
 from ..common.arguments import BatchSize, Coefficient, Natural, RolloutArguments
 from ..export import export_policy
-from ..ppo.network import RacingNetwork
+from ..ppo.network import RacingNetwork, RecurrentNetwork
 from ..ppo.opponents import NOBODY, PRIORITIZED, Matchmaker
 from ..ppo.rollouts import ActorRaces
 from ..ppo.run import PPORun, PPOSetup
@@ -45,11 +47,14 @@ from ..ppo.run import PPORun, PPOSetup
 #: Number of past policies that a run keeps.
 _POOL_SIZE = 40
 _LEARNERS = 32
+#: Size of the memory of ``recurrent``.
+_MEMORY_SIZE = 64
 #: Opponents of each algorithm, and whether its value network sees the other learners.
 _ALGORITHMS = {
     "ippo": (NOBODY, False),
     "mappo": (NOBODY, True),
     "pfsp": (PRIORITIZED, False),
+    "recurrent": (NOBODY, False),
     "blind": (NOBODY, False),
 }
 #: Inputs of the policy that mark mates among the four nearest karts.
@@ -125,15 +130,13 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
     ]
     num_mates = task.learners - 1 if sees_others else 0
     inputs = CONTEST_SIZE + MEMORY_SIZE
-    network = partial(
-        RacingNetwork,
-        arguments.hidden,
-        arguments.seed,
-        inputs,
-        num_mates,
-        arguments.hold,
-        _MATE_FLAGS if is_blind else (),
+    first = arguments.hidden, arguments.seed, inputs
+    unseen = _MATE_FLAGS if is_blind else ()
+    network: Callable[[], RacingNetwork] = partial(
+        RacingNetwork, *first, num_mates, arguments.hold, unseen
     )
+    if name == "recurrent":
+        network = partial(RecurrentNetwork, *first, arguments.hold, _MEMORY_SIZE)
     return PPOSetup(
         groups=tuple(groups),
         make_network=network,
