@@ -25,8 +25,15 @@ __all__ = [
 #: The modes of a race: the normal race, and the game's time trial, which has no item boxes.
 RACE_MODES = NORMAL, TIME_TRIAL = "normal", "time_trial"
 
-#: Top speed of a kart without nitro or zippers [m/s].
-_MAX_START_SPEED = 25.0
+#: Bounds of a start. The speed's is the top speed of a kart without nitro or zippers [m/s].
+_START_BOUNDS = {
+    "distance": (-1e3, 1e5),
+    "share": (0.0, 1.0),
+    "offset": (-100.0, 100.0),
+    "heading": (-math.pi, math.pi),
+    "speed": (0.0, 25.0),
+    "behind": (0.0, 2e3),
+}
 
 
 @check_arguments
@@ -107,14 +114,10 @@ class Start:
     def __post_init__(self) -> None:
         if (self.distance is None) == (self.share is None):
             raise ConfigError(f"{self!r} needs either a distance [m] or a share of the lap")
-        if self.share is not None:
-            check_number("share of a start", self.share, 0.0, 1.0)
-        else:
-            check_number("distance of a start", self.distance, -1e3, 1e5)
-        check_number("offset of a start", self.offset, -100.0, 100.0)
-        check_number("heading of a start", self.heading, -math.pi, math.pi)
-        check_number("speed of a start", self.speed, 0.0, _MAX_START_SPEED)
-        check_number("behind of a start", self.behind, 0.0, 2e3)
+        for name, bounds in _START_BOUNDS.items():
+            if (value := getattr(self, name)) is not None:
+                number = check_number(f"{name} of a start", value, *bounds)
+                object.__setattr__(self, name, number)
 
 
 @check_arguments

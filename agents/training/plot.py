@@ -39,7 +39,7 @@ _PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Reward per step", ("reward",)),
     ("Explained variance of the value", ("explained",)),
     ("Pace over the AI's, and share of karts that finished", ("pace", "finished")),
-    ("Share of opponents beaten", ("beaten", "beats_past", "beats_bots", "won")),
+    ("Share of opponents beaten", ("beaten", "won")),
     ("Return of a race", ("return",)),
     ("Time over the AI's median time", ("time_ratio",)),
     ("Loss [nats]", ("loss",)),

@@ -54,7 +54,7 @@ def coast(env, steps, throttle=0.0):
     [
         ("lighthouse", Start(distance=30.0)),
         ("lighthouse", Start(distance=400.0, speed=15.0, offset=2.0)),
-        ("lighthouse", Start(distance=870.0, speed=3.0, heading=0.4)),
+        ("lighthouse", Start(distance=870.0, speed=np.float32(3.0), heading=0.4)),
         ("olivermath", Start(share=0.3, offset=-3.0)),
         ("lighthouse", Start(distance=-10.0)),
     ],
