@@ -41,7 +41,7 @@ class GatedUnit:
         names = f"{SEEN}.weight", f"{SEEN}.bias", f"{KEPT}.weight"
         arrays = [np.asarray(weights.get(n, np.zeros(0)), np.float32) for n in names]
         seen, bias, kept = arrays
-        self.size = kept.shape[-1]
+        self.size = memory_size(weights)
         rows, shapes = 3 * self.size, [array.shape for array in arrays]
         wanted = [(rows, inputs), (rows,), (rows, self.size)]
         if shapes != wanted or not all(np.isfinite(array).all() for array in arrays):
@@ -68,4 +68,4 @@ class GatedUnit:
 
 def memory_size(weights: Mapping[str, FloatArray]) -> int:
     """Returns the size of the memory of a policy; 0 without memory."""
-    return int(weights[f"{KEPT}.weight"].shape[-1]) if f"{KEPT}.weight" in weights else 0
+    return np.atleast_1d(weights.get(f"{KEPT}.weight", np.zeros(0))).shape[-1]
