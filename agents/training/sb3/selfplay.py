@@ -100,8 +100,6 @@ class SB3Arguments(LearnerArguments):
         tracks: tracks or splits to train on, such as train_only; driven in both directions.
         difficulty: skill of the game's AI and speed of all karts, 0 to 3.
         max_cycles: steps after which a race is cut short.
-        random_starts: share of the races that start anywhere on the track; the others start on the
-            grid.
         num_starts: number of different starts between two checkpoints. Later races copy one of
             them, which takes a tenth of the time. 0 makes a new start for each race, as is
             necessary on other systems than Linux.
@@ -123,7 +121,6 @@ class SB3Arguments(LearnerArguments):
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     difficulty: Level = 3
     max_cycles: int = 500
-    random_starts: Share = 0.6
     num_starts: Natural = 20
     snapshot_share: Share = 0.5
     pool_size: int = 12
@@ -148,6 +145,7 @@ def selfplay_setup(arguments: SB3Arguments) -> PPOSetup:
         "track": arguments.tracks,
         "reverse": None,
         "difficulty": arguments.difficulty,
+        "start": "random",
         "max_cycles": arguments.max_cycles,
         "num_starts": arguments.num_starts or None,
         "view": "racing",
@@ -331,11 +329,7 @@ class SB3Run(TrainingRun):
     def _make_races(self) -> Callable[[], None]:
         setup, arguments = self._setup, self.arguments
         Distribution.set_default_validate_args(False)  # saves a fifth of the learning time
-        group = setup.groups[0]
-        self._races = SelfPlayRaces(group, arguments.hold, self.matchmaker, self.folder)
-        num_random = round(arguments.random_starts * group.num_races)
-        starts = ["random"] * num_random + [None] * (group.num_races - num_random)
-        self._races.races.set_options([{"start": start} for start in starts])
+        self._races = SelfPlayRaces(setup.groups[0], arguments.hold, self.matchmaker, self.folder)
         with warnings.catch_warnings():
             # Batches may differ in size: the buffer leaves out idle slots.
             warnings.filterwarnings("ignore", "You have specified a mini-batch size")
