@@ -68,4 +68,5 @@ class GatedUnit:
 
 def memory_size(weights: Mapping[str, FloatArray]) -> int:
     """Returns the size of the memory of a policy; 0 without memory."""
-    return np.atleast_1d(weights.get(f"{KEPT}.weight", np.zeros(0))).shape[-1]
+    size: int = np.atleast_1d(weights.get(f"{KEPT}.weight", np.zeros(0))).shape[-1]
+    return size
