@@ -138,17 +138,17 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
     assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 1]).all()
     assert (rollout["rewards"][:, 2] == rollout["rewards"][:, 3]).all()
     assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 2]).any()
-    check_evaluation(network, rollout[3][:, None])
+    check_evaluation(network, rollout[3])
 
 
 def check_evaluation(network, rows):
-    """Checks that the network in PyTorch agrees with the actor that drove rows ``(N, L)``."""
-    columns = network.tensors(rows)
-    used = columns[0].new_ones(rows.shape, dtype=bool)
-    log_probability, entropy, _, values = network.evaluate(columns, used)
-    told = rows["log_probability"].reshape(-1)
-    assert np.allclose(log_probability.detach().numpy(), told, atol=1e-4)
-    assert np.allclose(values.detach().numpy() * 10.0, rows["values"].reshape(-1), atol=1e-4)
+    """Checks that the network in PyTorch agrees with the actor that drove the rows."""
+    inputs, *columns = network.tensors(rows)
+    every = network.torch.arange(len(rows))
+    inputs = network.chosen_inputs(inputs, every, every >= 0)
+    log_probability, entropy, _, values = network.evaluate([inputs, *columns])
+    assert np.allclose(log_probability.detach().numpy(), rows["log_probability"], atol=1e-4)
+    assert np.allclose(values.detach().numpy() * 10.0, rows["values"], atol=1e-4)
     assert (entropy > 0).all()
 
 
@@ -166,7 +166,7 @@ def test_a_recurrent_policy_remembers_until_its_race_ends(tmp_path):
     assert begins[40].all()
     assert not begins[30:40].any()
     sequences = rollout.reshape(4, 16, 5).swapaxes(1, 2).reshape(20, 16)
-    check_evaluation(network, sequences)
+    check_evaluation(network, sequences.reshape(-1))
     sequences["inputs"][12, 4, 0] += 1.0
     (inputs, *_), before = network.tensors(sequences), sequences["inputs"][..., -size:]
     apart = (network._remembered(inputs).detach().numpy()[..., -size:] - before)[12]

@@ -125,32 +125,34 @@ class ActorCritic(ABC):
         }
 
     def tensors(self, rows: npt.NDArray[np.void]) -> list[Any]:
-        """Returns the inputs of :meth:`evaluate` for rows of a rollout.
-
-        Args:
-            rows: ``(N, L)`` rows, sequences of :attr:`sequence` successive steps.
-
-        Returns:
-            Tensors ``(N, L, ...)``.
-        """
+        """Returns the inputs of :meth:`evaluate` for rows of a rollout, as tensors ``(N, ...)``."""
         seen = (critic_inputs(rows) - self.mean) * self.scale
         central = np.clip(seen, -INPUT_CLIP, INPUT_CLIP, dtype=np.float32)
         inputs = self.policy_inputs(rows, central)
         arrays = inputs, central, rows["prior"].copy(), rows["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 
-    def evaluate(self, columns: Sequence[Any], used: Any) -> tuple[Any, Any, Any, Any]:
+    def chosen_inputs(self, inputs: Any, rows: Any, used: Any) -> Any:
+        """Returns the policy's inputs in some rows, from the first tensor of :meth:`tensors`.
+
+        Args:
+            inputs: the tensor, whose rows are sequences of :attr:`sequence` successive steps.
+            rows: indices of the rows, in whole sequences.
+            used: bool, which of these rows to return.
+        """
+        return inputs[rows[used]]
+
+    def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
         """Evaluates the choices in rows of a rollout.
 
         Args:
             columns: tensors of :meth:`tensors`.
-            used: ``(N, L)`` bool, the M rows to evaluate.
 
         Returns:
-            Tensors ``(M,)``: log-probability of the choices, entropy of the policy [nats], its KL
+            Tensors ``(N,)``: log-probability of the choices, entropy of the policy [nats], its KL
                 divergence from the prior, and the normalized value.
         """
-        inputs, central, prior, choices = (column[used] for column in columns)
+        inputs, central, prior, choices = columns
         logits, log_softmax = self.policy(inputs), self.torch.log_softmax
         if self.shape.has_prior:
             logits = logits + prior
@@ -347,10 +349,10 @@ class RecurrentNetwork(RacingNetwork):
         self.memory = nn.ModuleDict({"seen": seen, "kept": kept})
         self.optimizer.param_groups[0]["params"].extend(self.memory.parameters())
 
-    def evaluate(self, columns: Sequence[Any], used: Any) -> tuple[Any, Any, Any, Any]:
-        """See :class:`ActorCritic`."""
-        inputs, *others = columns
-        return super().evaluate([self._remembered(inputs), *others], used)
+    def chosen_inputs(self, inputs: Any, rows: Any, used: Any) -> Any:
+        """See :class:`ActorCritic`; the memories are those of the current weights."""
+        sequences = inputs[rows].reshape(-1, self.sequence, self.shape.inputs)
+        return self._remembered(sequences).flatten(0, 1)[used]
 
     def _remembered(self, inputs: Any) -> Any:
         """Returns inputs ``(N, L, F + H)`` with the memories of the current weights."""

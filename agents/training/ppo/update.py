@@ -87,27 +87,33 @@ def update(
     )
     used = seen["active"] & seen["driven"]
     learns = used.any(axis=1)
-    seen, advantages, used = seen[learns], advantages[learns], used[learns]
+    seen, advantages, used = (part[learns].reshape(-1) for part in (seen, advantages, used))
     returns = advantages + seen["values"]
     network.normalize_returns(returns[used])
     mean, unit = network.returns
     from_numpy, learned = network.torch.from_numpy, advantages[used]
+    inputs, *columns = network.tensors(seen)
     data = [
-        from_numpy(used),
         from_numpy(seen["log_probability"].copy()),
         from_numpy((advantages - learned.mean()) / (learned.std() + 1e-6)),
         from_numpy((returns - mean) / unit),
-        *network.tensors(seen),
+        *columns,
     ]
+    is_learned = from_numpy(used)
+    batch_size = max(settings.batch_size // length, 1) * length
     figures: dict[str, list[float]] = {}
     epochs = 0
     for _ in range(settings.n_epochs):
         epochs += 1
         kl = []
-        order = from_numpy(random.permutation(len(seen)))
-        for batch in order.split(max(settings.batch_size // length, 1)):
-            if len(batch) > 1:
-                step_figures = _gradient_step(network, [c[batch] for c in data], settings, ent_coef)
+        # All rows, in sequences whose order is random.
+        order = random.permutation(len(seen) // length)[:, None] * length + np.arange(length)
+        for rows in from_numpy(order.reshape(-1)).split(batch_size):
+            if len(rows) > 1:
+                is_used = is_learned[rows]
+                chosen = network.chosen_inputs(inputs, rows, is_used)
+                batch = [chosen, *(column[rows[is_used]] for column in data)]
+                step_figures = _gradient_step(network, batch, settings, ent_coef)
                 kl.append(step_figures["kl"])
                 for name, value in step_figures.items():
                     figures.setdefault(name, []).append(value)
@@ -134,10 +140,9 @@ def _gradient_step(
     network: ActorCritic, batch: Sequence[Any], settings: RolloutArguments, ent_coef: float
 ) -> dict[str, float]:
     """Makes a gradient step on PPO's clipped loss; returns figures."""
-    used, *parts = batch
-    old, advantages, returns = (part[used] for part in parts[:3])
+    inputs, old, advantages, returns, *columns = batch
     torch, clip = network.torch, settings.clip_range
-    log_probability, entropy, prior_kl, values = network.evaluate(parts[3:], used)
+    log_probability, entropy, prior_kl, values = network.evaluate([inputs, *columns])
     log_ratio = log_probability - old
     ratio = log_ratio.exp()
     clipped = ratio.clamp(1 - clip, 1 + clip)
