@@ -11,7 +11,7 @@ from stkzoo.agents.planning.network import Mlp
 from stkzoo.errors import ConfigError
 
 #: Names of the weights in files: of the layers from the input, and of those from the memory.
-SEEN, KEPT = "memory.seen", "memory.kept"
+_SEEN, _KEPT = "memory.seen", "memory.kept"
 
 
 class GatedUnit:
@@ -38,7 +38,7 @@ class GatedUnit:
     """
 
     def __init__(self, weights: Mapping[str, FloatArray], inputs: int, name: str) -> None:
-        names = f"{SEEN}.weight", f"{SEEN}.bias", f"{KEPT}.weight"
+        names = f"{_SEEN}.weight", f"{_SEEN}.bias", f"{_KEPT}.weight"
         arrays = [np.asarray(weights.get(n, np.zeros(0)), np.float32) for n in names]
         seen, bias, kept = arrays
         self.size = memory_size(weights)
@@ -68,5 +68,5 @@ class GatedUnit:
 
 def memory_size(weights: Mapping[str, FloatArray]) -> int:
     """Returns the size of the memory of a policy; 0 without memory."""
-    size: int = np.atleast_1d(weights.get(f"{KEPT}.weight", np.zeros(0))).shape[-1]
+    size: int = np.atleast_1d(weights.get(f"{_KEPT}.weight", np.zeros(0))).shape[-1]
     return size

@@ -153,7 +153,7 @@ def check_evaluation(network, rows):
 
 
 def test_a_recurrent_policy_remembers_until_its_race_ends(tmp_path):
-    """The memory begins anew in step 40, the middle of the third sequence."""
+    """Step 39 ends all races in the middle of a sequence, and their memory is lost."""
     actor, rollout, network = actor_of(tmp_path, "recurrent", "selfplay-5", 64, max_cycles=40)
     try:
         actor.begin([5])
