@@ -2,12 +2,9 @@
 
 import doctest
 import importlib
-import sys
-from unittest.mock import patch
 
 import pytest
 
-from stkzoo.views.agent_chain import AgentChain
 from tests.support.paths import ROOT
 
 
@@ -24,7 +21,5 @@ def modules():
 @pytest.mark.parametrize("name", list(modules()))
 def test_the_examples_of_a_module_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(AgentChain, "is_strict", True)  # stkzoo.compat changes it, and modules
-    with patch.dict(sys.modules):
-        outcome = doctest.testmod(importlib.import_module(name))
+    outcome = doctest.testmod(importlib.import_module(name))
     assert outcome.attempted > outcome.failed == 0
