@@ -1,6 +1,6 @@
-"""Evaluates the built-in drivers in the tasks of the suite, for normalized scores.
+"""Evaluates *random*, *zenith* and the game's AI in the tasks of the suite.
 
-    python -m benchmarks.suite_baselines               # about an hour; continues if interrupted
+    python -m benchmarks.suite_baselines               # half an hour; continues if interrupted
     python -m benchmarks.suite_baselines --tasks solo-general
 
 Writes ``stkzoo/suite/baselines.json``: the score of each driver in each task, with its interval. In
@@ -20,13 +20,10 @@ from benchmarks.common import parser
 from stkzoo._os import write_text
 from stkzoo.suite import SUITE, TASKS, evaluate
 from stkzoo.suite.population import population_digests
-from stkzoo.suite.scores import BASELINES_FILE, load_baselines
+from stkzoo.suite.scores import BASELINES_FILE, ONE, ZERO, load_baselines
 
-#: The game's AI drives at the difficulty of each race; it cannot race against another one.
-DRIVERS = (
-    *("random", "ai", "pursuit", "heuristic"),
-    *("pretrained:ace", "pretrained:apex", "pretrained:zenith"),
-)
+#: The ends of the scale of normalized scores, and the game's AI at the difficulty of each race.
+DRIVERS = (ZERO, ONE, "ai")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -42,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     scores = {
         name: {driver: asdict(score) for driver, score in own.items()}
         for name, own in known_baselines.scores.items()
-        if known_baselines.has(name)
+        if name in TASKS and known_baselines.has(name)
     }
     console = Console(stderr=True)
     for task in options.tasks:
