@@ -18,6 +18,8 @@ and adds what the repository holds of these runs to ``benchmarks/results/suite``
 with its entries, race results and log, and ``digests.json`` with the SHA-256 of the archives and of
 their files, except the replays, whose SHA-256 are in the entries. From the zips of all runs, which
 can come from several machines, it writes ``report.json``, the source of the documentation's page.
+Runs of the long tier need ``--kart-steps 10000000 --folder runs/suite-long``, and with
+``--archive`` also ``--output benchmarks/results/suite-long``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Builds the page of the suite's reference results from ``benchmarks/results/suite/report.json``.
+"""Builds the pages of the suite's reference results from ``benchmarks/results/suite*/report.json``.
 
-``python docs/_extensions/suite_page.py`` draws its figures.
+``python docs/_extensions/suite_page.py`` draws their figures.
 """
 
 from __future__ import annotations
@@ -11,23 +11,36 @@ from stkzoo.suite import SuiteReport
 from stkzoo.suite.report.figures import FIGURES, draw_figures
 from stkzoo.suite.report.writing import report_sections
 
-REPORT = Path(__file__).parents[2] / "benchmarks" / "results" / "suite" / "report.json"
-PICTURES = Path(__file__).parents[1] / "images" / "suite"
-_HEAD = """\
-# Results of the suite's reference algorithms
-
-[The report](suite-report.md) describes the tasks, the statistics and the limits.
-"""
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+PICTURES = Path(__file__).parents[1] / "images"
+#: Folders of the results of each budget, with the titles of their pages.
+_TIERS = {
+    "suite": "Results of the suite's reference algorithms",
+    "suite-long": "Results of the suite's long tier",
+}
+_HEAD = "[The report](suite-report.md) describes the tasks, the statistics and the limits."
 _NOTHING = "The reference runs of this version of the suite have not been measured yet."
 
 
 def pages() -> dict[str, str]:
-    """Returns the text of the page."""
-    files = {name: Path("../images/suite", f"{name}.svg") for name in FIGURES}
-    figures = {name: file for name, file in files.items() if (PICTURES / file.name).exists()}
-    text = report_sections(SuiteReport.load(REPORT), figures) if REPORT.exists() else _NOTHING
-    return {"explanation/suite-results.md": f"{_HEAD}\n{text}\n"}
+    """Returns the text of the pages."""
+    return {
+        f"explanation/{tier}-results.md": f"# {title}\n\n{_HEAD}\n\n{_text(tier)}\n"
+        for tier, title in _TIERS.items()
+    }
+
+
+def _text(tier: str) -> str:
+    report = RESULTS / tier / "report.json"
+    if not report.exists():
+        return _NOTHING
+    files = {name: Path("../images", tier, f"{name}.svg") for name in FIGURES}
+    figures = {name: file for name, file in files.items() if (PICTURES / tier / file.name).exists()}
+    return report_sections(SuiteReport.load(report), figures)
 
 
 if __name__ == "__main__":
-    draw_figures(SuiteReport.load(REPORT), PICTURES)
+    for name in _TIERS:
+        if (file := RESULTS / name / "report.json").exists():
+            (PICTURES / name).mkdir(exist_ok=True)
+            draw_figures(SuiteReport.load(file), PICTURES / name)

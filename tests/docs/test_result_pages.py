@@ -25,11 +25,12 @@ def test_the_page_of_the_suite_has_its_tables_and_figures(tmp_path, monkeypatch)
     page = extension("suite_page")
     assert "# Results of the suite's reference algorithms" in page.pages()[PAGE]
     report = make_report([suite_run("versus", "ippo", 0, constant(0.5))])
-    for name, place in (("REPORT", tmp_path / "report.json"), ("PICTURES", tmp_path)):
-        monkeypatch.setattr(page, name, place)
+    for name in ("RESULTS", "PICTURES"):
+        monkeypatch.setattr(page, name, tmp_path)
     assert "have not been measured yet" in page.pages()[PAGE]
-    (tmp_path / "report.json").write_text(report.to_json())
-    page.draw_figures(report, tmp_path)
+    (tmp_path / "suite").mkdir()
+    (tmp_path / "suite/report.json").write_text(report.to_json())
+    page.draw_figures(report, tmp_path / "suite")
     text = page.pages()[PAGE]
     assert "## versus" in text
     assert text.count("](../images/suite/") == 1  # scores; there are no logs and no comparisons

@@ -126,11 +126,12 @@ def _intervals(
     figure = plotting.new_figure(7.5, sum(0.8 + _ROW * count for count in counts))
     axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0]
     for axis, (title, rows) in zip(axes, panels.items(), strict=True):
-        if is_probability:
-            axis.axvline(0.5, color=plotting.GRAY, linewidth=1.2, linestyle="--", zorder=0)
-            axis.set_xlim(-0.03, 1.03)
         for place, (_, algorithm, estimate) in enumerate(rows):
             plotting.draw_intervals(axis, {place: estimate}, color=styles[algorithm][0])
+        start = 0.5 if is_probability else 0.0
+        axis.axvline(start, color=plotting.GRAY, linewidth=1.2, linestyle="--", zorder=0)
+        if is_probability:
+            axis.set_xlim(-0.03, 1.03)
         axis.set_yticks(range(len(rows)), [label for label, _, _ in rows])
         axis.set_ylim(len(rows) - 0.4, -0.6)
         plotting.style_axes(axis, title)
