@@ -1,12 +1,13 @@
-"""Runs code written for ``pystk2_gymnasium`` on stkzoo::
+"""Runs code written for ``pystk2_gymnasium`` on stkzoo.
+
+Import this module before the original package::
 
     import stkzoo.compat
     from pystk2_gymnasium.envs import AgentSpec, STKRaceEnv
 
-After you import this module, ``import pystk2_gymnasium``, its submodules and its environment ids
-resolve to stkzoo, even if the original package is installed. Import this module before the
-original package. All environments of the program then clip actions to their spaces and ignore
-unknown keys, as the original package does, and log the first one of an agent in a race.
+Then ``import pystk2_gymnasium``, its submodules and its environment ids resolve to stkzoo, even if
+the original package is installed. All environments of the program clip actions to their spaces and
+ignore unknown keys, as the original package does, and log the first one of an agent in a race.
 ``docs/reference/differences.md`` lists the intended differences.
 """
 

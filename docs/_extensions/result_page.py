@@ -28,8 +28,9 @@ _SECTIONS = {
 _HEAD = """# Benchmark results
 
 [Benchmarks](../explanation/benchmarks.md) has the charts and the method. *Reference* means
-pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and 90% quantiles in brackets. Commands named `bench_...` are of
-an [earlier version](../explanation/benchmarks.md#measurements-that-ended).
+pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and 90% quantiles in brackets. Commands
+named `bench_...` are of an
+[earlier version](../explanation/benchmarks.md#measurements-that-ended).
 """
 
 
