@@ -31,16 +31,21 @@ def pages() -> dict[str, str]:
 
 
 def _text(tier: str) -> str:
-    report = RESULTS / tier / "report.json"
-    if not report.exists():
+    report = _report(tier)
+    if report is None:
         return _NOTHING
     files = {name: Path("../images", tier, f"{name}.svg") for name in FIGURES}
     figures = {name: file for name, file in files.items() if (PICTURES / tier / file.name).exists()}
-    return report_sections(SuiteReport.load(report), figures)
+    return report_sections(report, figures)
+
+
+def _report(tier: str) -> SuiteReport | None:
+    file = RESULTS / tier / "report.json"
+    return SuiteReport.load(file) if file.exists() else None
 
 
 if __name__ == "__main__":
     for name in _TIERS:
-        if (file := RESULTS / name / "report.json").exists():
+        if measured := _report(name):
             (PICTURES / name).mkdir(exist_ok=True)
-            draw_figures(SuiteReport.load(file), PICTURES / name)
+            draw_figures(measured, PICTURES / name)
