@@ -15,6 +15,7 @@ from stkzoo.wrappers.racing.features import (
     ATTACHMENTS,
     BAD,
     BADS,
+    GOOD_TYPES,
     GOODS,
     ITEM_CLASSES,
     ITEM_LEAST_AHEAD,
@@ -29,7 +30,6 @@ from stkzoo.wrappers.racing.features import (
     OWN_SIZE,
     PLACES,
     SIZE,
-    TYPES_GOOD,
 )
 from tests.oracle.observations import own_state
 from tests.oracle.vectors import line_places, squared
@@ -199,7 +199,7 @@ def _write_items(view: FloatArray, items: FloatArray, types: IntArray) -> None:
         if name == "goods":
             found = there[:, : order.shape[1], None]
             chosen = np.take_along_axis(kinds, order, axis=1)
-            types_seen = _padded(_one_of(chosen, len(TYPES_GOOD)) * found, count)
+            types_seen = _padded(_one_of(chosen, len(GOOD_TYPES)) * found, count)
             view[:, PLACES["goods_type"]] = types_seen.reshape(len(view), -1)
 
 

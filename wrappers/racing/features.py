@@ -25,8 +25,8 @@ LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
 KARTS, GOODS, BADS = 4, 4, 3
 
 #: Types of good and of bad items.
-TYPES_GOOD = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
-TYPESBAD = (ItemType.BANANA, ItemType.BUBBLEGUM)
+GOOD_TYPES = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
+BAD_TYPES = (ItemType.BANANA, ItemType.BUBBLEGUM)
 
 #: Attachments of a kart, in the order of the view.
 ATTACHMENTS = tuple(member for member in AttachmentType if member is not AttachmentType.NOTHING)
@@ -39,7 +39,7 @@ def _names(kinds: Iterable[Enum]) -> str:
 
 _POWERUPS = f"1 for the power-up that the kart holds: {_names(PowerupType)}"
 _ATTACHED = f"1 for what is attached to the kart, all 0 for nothing: {_names(ATTACHMENTS)}"
-_GOOD = f"1 for its type: {_names(TYPES_GOOD)}"
+_GOOD = f"1 for its type: {_names(GOOD_TYPES)}"
 _METERS = ", ".join(f"{mark:g}" for mark in MARKS)
 _AHEAD = f"points on the line {_METERS} m ahead: position / distance ahead"
 _ROOM = "distance from each of these points to the edge of the road"
@@ -66,7 +66,7 @@ _LAYOUT = (
     ("goods_direction", GOODS, 3, "", "unit vectors to the nearest good items ahead, within 60 m"),
     ("goods_nearness", GOODS, 1, "", "1 / (1 + distance / 5 m); 0 where there is none"),
     ("goods_beside", GOODS, 1, "5 m", "how far to the right each of them is"),
-    ("goods_type", GOODS, len(TYPES_GOOD), "", _GOOD),
+    ("goods_type", GOODS, len(GOOD_TYPES), "", _GOOD),
     ("bads_direction", BADS, 3, "", "unit vectors to the nearest bad items ahead, within 60 m"),
     ("bads_nearness", BADS, 1, "", "1 / (1 + distance / 5 m); 0 where there is none"),
     ("bads_beside", BADS, 1, "5 m", "how far to the right each of them is"),
@@ -125,8 +125,8 @@ ITEM_LEAST_AHEAD, ITEM_LEVEL = 0.5, 6.0
 BAD, IGNORED = -1, -2
 #: Class by item type: the number of a good item, or a constant above. The last is :data:`ABSENT`.
 ITEM_CLASSES = np.full(max(ItemType) + 2, IGNORED, np.int8)
-ITEM_CLASSES[list(TYPES_GOOD)] = range(len(TYPES_GOOD))
-ITEM_CLASSES[list(TYPESBAD)] = BAD
+ITEM_CLASSES[list(GOOD_TYPES)] = range(len(GOOD_TYPES))
+ITEM_CLASSES[list(BAD_TYPES)] = BAD
 #: Index by type of attachment, or -1.
 ATTACHMENT_COLUMNS = np.full(16, -1, np.int8)
 ATTACHMENT_COLUMNS[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
@@ -134,6 +134,6 @@ ATTACHMENT_COLUMNS[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
 #: The first arguments of the kernel's ``write_racing_view``.
 KERNEL_TABLES = (
     *(LOOKS, ITEM_CLASSES, ATTACHMENT_COLUMNS),
-    (NUM_POWERUPS, len(ATTACHMENTS), len(TYPES_GOOD), KARTS, GOODS, BADS),
+    (NUM_POWERUPS, len(ATTACHMENTS), len(GOOD_TYPES), KARTS, GOODS, BADS),
     (KART_REACH, ITEM_REACH, ITEM_LEAST_AHEAD, ITEM_LEVEL),
 )

@@ -249,6 +249,7 @@ def test_a_silent_client_loses_its_place(monkeypatch):
         assert isinstance(read_reply(client.recv_multipart()), Ready)
         refused = read_reply(client.recv_multipart())
         assert refused == Refused("no message from the client for 0.2 s")
+        monkeypatch.undo()
         with RemoteDriverGroup([server.address]) as group:
             assert not run_race([*group.drivers, "ai"], max_steps=3, **TRACK).has_errors
 
