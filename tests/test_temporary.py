@@ -88,7 +88,7 @@ def test_only_the_folders_of_killed_programs_are_removed(place):
         program.kill()
 
 
-def test_folders_of_the_user_are_kept_whatever_their_names(place):
+def test_folders_with_files_of_the_user_are_kept_whatever_their_names(place):
     killed = Path(run_program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)").stdout.strip())
     names_of_users = ["mine", "0123456789abcdef", "saved", "marked", "linked"]
     users = [place / f"stkzoo-run-{name}" for name in names_of_users]
@@ -100,10 +100,13 @@ def test_folders_of_the_user_are_kept_whatever_their_names(place):
         folder.chmod(0o755)
     (users[3] / f".made-by-stkzoo-as-{users[3].name}").mkdir()
     (users[4] / f".made-by-stkzoo-as-{users[4].name}").symlink_to(users[4] / "file")
+    unmarked = place / ".stkzoo-staging-killed"
+    unmarked.mkdir()
     remove_stale_folders()
     with lock(place, Progress()):
         pass
     assert not killed.parent.exists()
+    assert not unmarked.exists()
     for folder in users:
         assert (folder / "file").read_text() == "mine"
         assert folder.stat().st_mode & 0o777 == 0o755

@@ -6,7 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stkzoo._locks import open_lock, try_lock
@@ -64,6 +64,9 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
             while not try_lock(descriptor):
                 time.sleep(_LOCK_POLL)
         remove_stale_folders(cache, _PREFIX)
+        for folder in cache.glob(f"{_PREFIX}*"):
+            with suppress(OSError):
+                folder.rmdir()  # if empty: its program was killed before it made the mark
         yield
     finally:
         os.close(descriptor)
