@@ -11,13 +11,18 @@ likely choice. A policy is one of:
     agents/swift                              the folder of an exported agent
     prior, prior:tuned/best.json              the plans without learning, with these parameters
 
-The other policies are compared with the first one.
+The other policies are compared with the first one. ``--output`` keeps the time ratios of a run's
+saved policies, and ``plot`` draws them over kart-steps:
+
+    python -m stkzoo.agents.training.evaluate runs/*/policy-*.safetensors --output evaluations
+    python -m stkzoo.agents.training.plot evaluations/* --output curves.png
 """
 
 from __future__ import annotations
 
 import itertools
 import sys
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,13 +32,14 @@ import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
 from stkzoo._checks import check_whole
+from stkzoo._os import make_folder
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
 from .common.command import limit_threads, run_command
 from .common.matches import SIDE_BY_SIDE, Finish, Match, MatchDriver, match_driver, play_matches
-from .common.run_folder import saved_policies
+from .common.run_folder import kart_steps_of, saved_policies, write_log
 
 #: First starting point for evaluation; training numbers its starting points from 0.
 _FIRST_NUMBER = 1000
@@ -95,6 +101,21 @@ def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]
         )
 
 
+def _keep(
+    folder: Path, sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]]
+) -> None:
+    """Writes the time ratios of saved policies as a log for each run."""
+    logs = defaultdict(list)
+    for policy, races in zip(map(Path, sources), results, strict=True):
+        kart_steps = kart_steps_of(policy)
+        if kart_steps is not None:
+            line = {"kart_steps": kart_steps, "time_ratio": round(float(_ratios(races).mean()), 6)}
+            logs[policy.absolute().parent.name].append(line)
+    for name, log in logs.items():
+        make_folder(folder / name, "evaluation")
+        write_log(folder / name, sorted(log, key=lambda line: line["kart_steps"]))
+
+
 def _ratios(results: Sequence[Sequence[Finish]]) -> npt.NDArray[np.float64]:
     """Returns the mean time ratio of each race's karts."""
     return np.array([np.mean([finish.counted_ratio for finish in ends]) for ends in results])
@@ -109,6 +130,7 @@ class EvaluationOptions:
         form: karts per race: P for the policy's, A for the game's AI's.
         numbers: races per track and direction.
         tracks: names of tracks or of splits, such as validation.
+        output: folder for the time ratios of saved policies.
 
     Raises:
         ConfigError: numbers is below 1, or the form is invalid.
@@ -118,6 +140,7 @@ class EvaluationOptions:
     form: str = "PAAAA"
     numbers: int = 2
     tracks: tuple[str, ...] = option(("train",), flag="--track", metavar="TRACK")
+    output: Path | None = option(None, metavar="FOLDER")
 
     def __post_init__(self) -> None:
         check_whole("numbers", self.numbers, 1)
@@ -138,6 +161,8 @@ def _evaluate(options: EvaluationOptions) -> None:
     drivers = [match_driver(source) for source in sources]
     results = evaluate(drivers, tracks, options.numbers, karts=form.agents, bots=form.rivals)
     _report(sources, results)
+    if options.output:
+        _keep(options.output, sources, results)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Plots the training curves of runs of any script.
+"""Plots the training curves of runs of any script, or the evaluations of their policies.
 
     python -m stkzoo.agents.training.plot runs/first runs/second --output curves.png
 
@@ -61,9 +61,9 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     logs = {Path(folder).name: read_figures(folder) for folder in folders}
     names = {name for log in logs.values() for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
-    rows = max(-(-len(panels) // 2), 1)
+    rows, columns = max(-(-len(panels) // 2), 1), 2 if len(panels) > 1 else 1
     figure = new_figure(10, 2.8 * rows)
-    axes = list(figure.subplots(rows, 2, squeeze=False).flat)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axis, (title, entries) in zip(axes, panels, strict=False):
         style_axes(axis, title)
         entries = tuple(entry for entry in entries if entry in names)
@@ -95,7 +95,7 @@ def _draw_curve(axis: Any, log: Sequence[Mapping[str, Any]], entry: str, **look:
     steps = [_x(line) for line in measured]
     values = _smooth(np.array([line[entry] for line in measured], float))
     (curve,) = axis.plot(steps, values, label=entry, **look)
-    if entry == "time_ratio":
+    if entry == "time_ratio" and "error" in measured[0]:
         error = 1.96 * np.array([line["error"] for line in measured])
         _draw_band(axis, curve, steps, values - error, values + error)
 

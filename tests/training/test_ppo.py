@@ -20,6 +20,7 @@ from stkzoo.agents.training.common.run_folder import run_parameters
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
+from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.network import PlanNetwork, initial_weights
 from stkzoo.agents.training.ppo.rollouts import ActorArguments, RaceActor, plan_shape, sample
 from stkzoo.agents.training.ppo.run import PPORun
@@ -234,6 +235,23 @@ def test_the_newest_policy_of_a_run_that_keeps_no_others_is_its_only_one(tmp_pat
     assert newest_policy(str(tmp_path)) == str(file)
     assert newest_policy(str(file)) == str(file)
     assert newest_policy("prior") == "prior"
+
+
+@pytest.mark.slow
+def test_time_ratios_of_saved_policies_are_kept_and_plotted(tmp_path):
+    run, kept = tmp_path / "first", tmp_path / "evaluations"
+    run.mkdir()
+    policies = [str(run / f"policy-{steps:09d}.safetensors") for steps in (20_000, 10_000)]
+    for policy in policies:
+        save_weights(policy, small_network())
+    words = ["--form=P", "--numbers=1", "--track=lighthouse", f"--output={kept}"]
+    assert evaluate_main(["prior", *policies, *words]) == 0
+    log = log_of(kept / "first")
+    assert [line["kart_steps"] for line in log] == [10_000, 20_000]
+    assert log[0]["time_ratio"] == log[1]["time_ratio"] > 0.5
+    assert [path.name for path in kept.iterdir()] == ["first"]
+    assert plot_main([str(kept / "first"), f"--output={tmp_path / 'curves.png'}"]) == 0
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_number_of_a_round_of_imitation_is_not_its_kart_steps(tmp_path):

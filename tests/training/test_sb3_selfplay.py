@@ -21,7 +21,6 @@ from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.network import RacingNetwork, racing_weights
 from stkzoo.agents.training.ppo.opponents import Matchmaker
-from stkzoo.agents.training.ppo.rollouts import ActorRaces
 from stkzoo.agents.training.sb3.selfplay import (
     SB3Arguments,
     SB3Run,
@@ -94,11 +93,12 @@ def test_groups_of_races_are_parsed():
             parse_races([text])
 
 
-def races_of(arguments, matchmaker, folder, **changes):
-    """Returns races with changed options."""
+def races_of(arguments, matchmaker, folder, **options):
+    """Returns races that all have the same options."""
     (group,) = selfplay_setup(arguments).groups
-    group = ActorRaces(group.num_races, group.options | changes)
-    return closing(SelfPlayRaces(group, 11, matchmaker, folder))
+    envs = SelfPlayRaces(group, 11, matchmaker, folder)
+    envs.races.set_options(options)
+    return closing(envs)
 
 
 @pytest.mark.slow
@@ -106,8 +106,8 @@ def test_past_selves_add_no_training_data(tmp_path, policy):
     save_weights(tmp_path / "past.safetensors", arrays_of(policy))
     matchmaker = Matchmaker("prioritized", share=1.0)
     matchmaker.add("past")
-    arguments = SB3Arguments(races="4+1x2", tracks=("olivermath",), max_cycles=12)
-    with races_of(arguments, matchmaker, tmp_path) as envs:
+    arguments = SB3Arguments(races="4+1x2", tracks=("olivermath",))
+    with races_of(arguments, matchmaker, tmp_path, max_cycles=12) as envs:
         envs.seed(5)
         envs.reset()
         for step in range(12):
@@ -124,9 +124,19 @@ def test_past_selves_add_no_training_data(tmp_path, policy):
 
 
 @pytest.mark.slow
+def test_half_of_the_races_start_on_the_grid(tmp_path):
+    (group,) = selfplay_setup(SB3Arguments(races="1x3", tracks=("olivermath",))).groups
+    with closing(SelfPlayRaces(group, 11, Matchmaker(), tmp_path)) as envs:
+        envs.seed(1)
+        envs.reset()
+        starts_anywhere = [bool(env.race.starts) for env in envs.races.races]
+    assert starts_anywhere == [False, False, True]
+
+
+@pytest.mark.slow
 def test_a_finish_is_a_truncation_for_the_learner(tmp_path):
     """The learner also gets the final observation and all rewards."""
-    arguments = SB3Arguments(races="1x1", tracks=("lighthouse",), num_starts=0)
+    arguments = SB3Arguments(races="1x1", tracks=("lighthouse",))
     near_finish = Start(share=0.97, speed=15.0)
     with races_of(arguments, Matchmaker(), tmp_path, start=near_finish, reverse=False) as envs:
         envs.seed(1)

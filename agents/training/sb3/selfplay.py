@@ -3,12 +3,13 @@
     python -m stkzoo.agents.training.sb3.selfplay --output runs/first --total-timesteps 2000000
 
 One policy sees the view ``racing`` and drives the agents of several races. In half of the races,
-one of its past selves drives half of these karts; hard opponents are drawn more often. The game's
-AI drives the other karts. Races start anywhere on the tracks, and half of the karts, drawn for each
-race, drive mirrored left to right. The reward is the distance driven plus places gained.
+one of its past selves drives half of these karts; hard opponents are drawn more often. Half of the
+races start on the grid; the others start anywhere on the tracks and are short. Half of the karts,
+drawn for each race, drive mirrored left to right. The reward is the distance driven plus places
+gained.
 
     --init FILE     start from the weights of another run, or of imitation
-    --races 4+1x5   five races of four agents and one bot
+    --races 4+1x5   five races of four agents and one bot, which the game's AI drives
 
 To continue a run, also after a kill, run the same command again, perhaps with more
 ``--total-timesteps``. The run continues bit for bit, because all races restart after a checkpoint.
@@ -84,6 +85,8 @@ _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"} | {"n_s
 _REWARD = Reward(
     {"advance": rewards.advance, "places": rewards.overtaking}, {"places": 0.3}, {"advance": 5.0}
 )
+#: Options of the races on the grid, which are long enough for a lap.
+_GRID = {"start": None, "max_cycles": 1200}
 #: Figures of the log to show.
 _SHOWN = ("pace", "finished", "position", "beaten")
 
@@ -96,13 +99,10 @@ class SB3Arguments(LearnerArguments):
     """Arguments of a run; they must not change when a run continues.
 
     Attributes:
-        races: 4+1x5 is five races of four agents and one bot.
+        races: 4x5 is five races of four agents, 4+1x5 is five races of four agents and one bot.
         tracks: tracks or splits to train on, such as train_only; driven in both directions.
         difficulty: skill of the game's AI and speed of all karts, 0 to 3.
-        max_cycles: steps after which a race is cut short.
-        num_starts: number of different starts between two checkpoints. Later races copy one of
-            them, which takes a tenth of the time. 0 makes a new start for each race, as is
-            necessary on other systems than Linux.
+        max_cycles: steps after which a race that started anywhere is cut short.
         snapshot_share: fraction of races in which a past self drives half of the agents' karts.
         pool_size: number of past selves to keep as opponents.
         init: weights to start from; empty starts from scratch.
@@ -113,15 +113,14 @@ class SB3Arguments(LearnerArguments):
     """
 
     learning_rate: float = 5e-4
-    n_epochs: int = 3
+    n_epochs: int = 4
     ent_coef: Coefficient = 0.003
     keep_every: int = 50_000
     checkpoint_every: int = 32
-    races: str = "4+1x5"
+    races: str = "4x5"
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     difficulty: Level = 3
-    max_cycles: int = 500
-    num_starts: Natural = 20
+    max_cycles: int = 250
     snapshot_share: Share = 0.5
     pool_size: int = 12
     init: str = ""
@@ -147,7 +146,6 @@ def selfplay_setup(arguments: SB3Arguments) -> PPOSetup:
         "difficulty": arguments.difficulty,
         "start": "random",
         "max_cycles": arguments.max_cycles,
-        "num_starts": arguments.num_starts or None,
         "view": "racing",
         "reward": _REWARD,
     }
@@ -185,6 +183,8 @@ class SelfPlayRaces(RaceVecEnv):
 
     def __init__(self, group: ActorRaces, hold: int, matchmaker: Matchmaker, past: Path) -> None:
         super().__init__(group.num_races, **group.options)
+        num_grid = (group.num_races + 1) // 2
+        self.races.set_options([_GRID] * num_grid + [{}] * (group.num_races - num_grid))
         self.observation_space = spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32)
         view = FilteredView(self.num_envs, hold)
         self._mirrored = MirroredRaces(self.races, view, MIRROR_SHARE)
