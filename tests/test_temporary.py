@@ -88,7 +88,7 @@ def test_only_the_folders_of_killed_programs_are_removed(place):
         program.kill()
 
 
-def test_folders_with_files_of_the_user_are_kept_whatever_their_names(place):
+def test_folders_of_the_user_are_kept_whatever_their_names(place):
     killed = Path(run_program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)").stdout.strip())
     names_of_users = ["mine", "0123456789abcdef", "saved", "marked", "linked"]
     users = [place / f"stkzoo-run-{name}" for name in names_of_users]
