@@ -61,7 +61,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     logs = {Path(folder).name: read_figures(folder) for folder in folders}
     names = {name for log in logs.values() for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
-    rows, columns = max(-(-len(panels) // 2), 1), 2 if len(panels) > 1 else 1
+    rows = max(-(-len(panels) // 2), 1)
+    columns = 2 if len(panels) > 1 else 1
     figure = new_figure(10, 2.8 * rows)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axis, (title, entries) in zip(axes, panels, strict=False):
