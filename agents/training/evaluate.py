@@ -101,15 +101,13 @@ def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]
         )
 
 
-def _keep(
-    folder: Path, sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]]
-) -> None:
+def _keep(folder: Path, sources: Sequence[str], time_ratios: Sequence[float]) -> None:
     """Writes the time ratios of saved policies as a log for each run."""
     logs = defaultdict(list)
-    for policy, races in zip(map(Path, sources), results, strict=True):
+    for policy, time_ratio in zip(map(Path, sources), time_ratios, strict=True):
         kart_steps = kart_steps_of(policy)
         if kart_steps is not None:
-            line = {"kart_steps": kart_steps, "time_ratio": round(float(_ratios(races).mean()), 6)}
+            line = {"kart_steps": kart_steps, "time_ratio": round(time_ratio, 6)}
             logs[policy.absolute().parent.name].append(line)
     for name, log in logs.items():
         make_folder(folder / name, "evaluation")
@@ -159,10 +157,12 @@ def _evaluate(options: EvaluationOptions) -> None:
     sources = [newest_policy(source) for source in options.policies]
     tracks = track_names(options.tracks)
     drivers = [match_driver(source) for source in sources]
+    if options.output:
+        make_folder(options.output, "evaluation")  # before the races, which take minutes
     results = evaluate(drivers, tracks, options.numbers, karts=form.agents, bots=form.rivals)
     _report(sources, results)
     if options.output:
-        _keep(options.output, sources, results)
+        _keep(options.output, sources, [float(_ratios(races).mean()) for races in results])
 
 
 if __name__ == "__main__":
