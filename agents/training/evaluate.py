@@ -37,7 +37,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
-from .common.command import limit_threads, run_command
+from .common.command import ProgressBar, limit_threads, run_command
 from .common.matches import SIDE_BY_SIDE, Finish, Match, MatchDriver, match_driver, play_matches
 from .common.run_folder import kart_steps_of, saved_policies, write_log
 
@@ -69,12 +69,17 @@ def evaluate(
     places = list(itertools.product(tracks, (False, True), starts))
     results: list[list[list[Finish]]] = [[] for _ in drivers]
     by_name = {str(number): driver for number, driver in enumerate(drivers)}
-    for first in range(0, len(places), SIDE_BY_SIDE):
-        part = places[first : first + SIDE_BY_SIDE]
-        matches = [Match((name,) * karts, *place, bots) for name in by_name for place in part]
-        finishes = play_matches(matches, by_name, side_by_side=len(part))
-        for match, ends in zip(matches, finishes, strict=True):
-            results[int(match.drivers[0])].append(ends)
+    with ProgressBar(len(places) * len(drivers), unit="races") as bar:
+
+        def show(played: int) -> None:
+            bar.show(sum(map(len, results)) + played, "")
+
+        for first in range(0, len(places), SIDE_BY_SIDE):
+            part = places[first : first + SIDE_BY_SIDE]
+            matches = [Match((name,) * karts, *place, bots) for name in by_name for place in part]
+            finishes = play_matches(matches, by_name, len(part), show)
+            for match, ends in zip(matches, finishes, strict=True):
+                results[int(match.drivers[0])].append(ends)
     return results
 
 

@@ -238,14 +238,16 @@ def test_the_newest_policy_of_a_run_that_keeps_no_others_is_its_only_one(tmp_pat
 
 
 @pytest.mark.slow
-def test_time_ratios_of_saved_policies_are_kept_and_plotted(tmp_path):
+def test_time_ratios_of_saved_policies_are_kept_and_plotted(tmp_path, monkeypatch, capsys):
     run, kept = tmp_path / "first", tmp_path / "evaluations"
     run.mkdir()
     policies = [str(run / f"policy-{steps:09d}.safetensors") for steps in (20_000, 10_000)]
     for policy in policies:
         save_weights(policy, small_network())
     words = ["--form=P", "--numbers=1", "--track=lighthouse", f"--output={kept}"]
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, for the progress bar
     assert evaluate_main(["prior", *policies, *words]) == 0
+    assert "6 races" in capsys.readouterr().err
     log = log_of(kept / "first")
     assert [line["kart_steps"] for line in log] == [10_000, 20_000]
     assert log[0]["time_ratio"] == log[1]["time_ratio"] > 0.5

@@ -329,6 +329,7 @@ def play_matches(
     matches: Sequence[Match],
     drivers: Mapping[str, MatchDriver],
     side_by_side: int = SIDE_BY_SIDE,
+    on_progress: Callable[[int], None] | None = None,
 ) -> list[list[Finish]]:
     """Plays matches.
 
@@ -336,6 +337,7 @@ def play_matches(
         matches: consecutive matches with equal starts share the start of the game.
         drivers: drivers by name.
         side_by_side: number of matches in one batch of observations.
+        on_progress: called after each batch with the number of matches played.
 
     Returns:
         For each match, the finishes of its drivers' karts.
@@ -348,6 +350,8 @@ def play_matches(
             part = matches[first : first + side_by_side]
             starts.keep({match.start for match in part})
             results += _drive(part, drivers, starts)
+            if on_progress is not None:
+                on_progress(len(results))
     finally:
         starts.close()
     return results
