@@ -95,7 +95,7 @@ def improvement(report: SuiteReport) -> Any:
         for task in report.tasks
         for pair in task.improvements
     ]
-    title = "Probability of improvement on a track and direction; the line is chance"
+    title = "Probability of improvement; 0.5 is chance"
     panels = {title: rows} if rows else {}
     return _intervals(panels, _styles(report), is_probability=True)
 
