@@ -74,10 +74,12 @@ def run_batch(
         (task,) = bars.tasks
 
         def update(progress: BatchProgress) -> None:
-            last = progress.last
-            text = f", {last.agents[0].driver} won on {last.track}" if last else ""
-            counts = f"{progress.done} of {progress.total}"
-            bars.show(progress.done, counts + text, progress.total)
+            text, last = f"{progress.done} of {progress.total}", progress.last
+            if progress.failed:
+                text += f", {progress.failed} failed"
+            if last:
+                text += f", {last.agents[0].driver} won on {last.track}"
+            bars.show(progress.done, text, progress.total)
 
         try:
             return run(**options, on_race=update), 0

@@ -31,10 +31,12 @@ def test_an_interrupted_batch_says_how_many_races_are_saved(progress, is_saved, 
 def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
     capsys, monkeypatch
 ):
-    seconds = iter([0.0, 0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0])
+    seconds = iter([0.0, 0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0, 34.0, 34.0])
     monkeypatch.setattr(_console, "time", Namespace(monotonic=lambda: next(seconds)))
-    run_batch({}, lambda on_race: [on_race(BatchProgress(n, 9)) for n in range(4)])
-    assert capsys.readouterr().err == "races: 1 of 9\nraces: 3 of 9\n"
+    reports = [*(BatchProgress(n, 9) for n in range(4)), BatchProgress(3, 9, failed=2)]
+    run_batch({}, lambda on_race: [on_race(report) for report in reports])
+    expected = "races: 1 of 9\nraces: 3 of 9\nraces: 3 of 9, 2 failed\n"
+    assert capsys.readouterr().err == expected
 
 
 @pytest.mark.parametrize(

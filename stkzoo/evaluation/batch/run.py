@@ -43,13 +43,13 @@ class BatchProgress:
         total: number of all races.
         last: result of the race that has just finished; ``None`` at the beginning, and for a race
             that could not be run.
-        error: why the race could not be run; empty otherwise.
+        failed: number of races that could not be run.
     """
 
     done: int
     total: int
     last: RaceResult | None = None
-    error: str = ""
+    failed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,5 +224,5 @@ def run_orders(
             else:
                 order.store(folder, result)
                 results[order.number] = result
-            report(BatchProgress(len(results), len(orders), result, error))
+            report(BatchProgress(len(results), len(orders), result, len(errors)))
     return errors
