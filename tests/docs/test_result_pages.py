@@ -23,7 +23,10 @@ def test_the_page_of_results_shows_the_tables_of_each_benchmark():
 
 def test_the_page_of_the_suite_has_its_tables_and_figures(tmp_path, monkeypatch):
     page = extension("suite_page")
-    assert "# Results of the suite's reference algorithms" in page.pages()[PAGE]
+    results = page.pages()[PAGE]
+    assert "# Results of the suite's reference algorithms" in results
+    assert "| ai | 0.469 | 1.002 | 0.000 |  |  |  |" in results
+    assert re.search(r"\| gamma 0.98 (\| \d\.\d{3} ){6}\|", results)
     report = make_report([suite_run("versus", "ippo", 0, constant(0.5))])
     for name in ("RESULTS", "PICTURES"):
         monkeypatch.setattr(page, name, tmp_path)
