@@ -1,6 +1,6 @@
 """Tasks with fixed rules, for comparisons in papers and courses.
 
-stkzoo-suite-1 has five tasks: what to learn, on which tracks, in how many kart-steps, and in which
+stkzoo-suite-1 has four tasks: what to learn, on which tracks, in how many kart-steps, and in which
 races the result is evaluated. An evaluated agent is an entry: a folder with its scores and a
 replay of each race. `verify` runs all races of an entry again and compares every number.
 
