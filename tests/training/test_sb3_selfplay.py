@@ -321,7 +321,7 @@ def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
 
 @pytest.mark.matrix
 def test_a_run_continues_after_races_without_rivals(tmp_path):
-    alone = {"races": "2x1", "max_cycles": 12, "snapshot_share": 0.0}
+    alone = {"races": "1x2", "max_cycles": 12, "snapshot_share": 0.0}
     assert learn(tmp_path, 60, **alone) == 0
     assert "position" in log_of(tmp_path)[-1]  # some races have ended
     assert learn(tmp_path, 120, **alone) == 0
