@@ -96,7 +96,7 @@ def test_groups_of_races_are_parsed():
 def races_of(arguments, matchmaker, folder, **options):
     """Returns races that all have the same options."""
     (group,) = selfplay_setup(arguments).groups
-    envs = SelfPlayRaces(group, 11, matchmaker, folder)
+    envs = SelfPlayRaces(group, 11, matchmaker, Matchmaker(), folder)
     envs.races.set_options(options)
     return closing(envs)
 
@@ -126,11 +126,30 @@ def test_past_selves_add_no_training_data(tmp_path, policy):
 @pytest.mark.slow
 def test_half_of_the_races_start_on_the_grid(tmp_path):
     (group,) = selfplay_setup(SB3Arguments(races="1x3", tracks=("olivermath",))).groups
-    with closing(SelfPlayRaces(group, 11, Matchmaker(), tmp_path)) as envs:
+    with closing(SelfPlayRaces(group, 11, Matchmaker(), Matchmaker(), tmp_path)) as envs:
         envs.seed(1)
         envs.reset()
         starts_anywhere = [bool(env.race.starts) for env in envs.races.races]
     assert starts_anywhere == [False, False, True]
+
+
+@pytest.mark.slow
+def test_half_of_the_races_are_on_tracks_where_the_learner_is_slow(tmp_path):
+    tracks = ("lighthouse", "olivermath")
+    setup = selfplay_setup(SB3Arguments(races="1x4", tracks=tracks, max_cycles=2))
+    setup.tracks.pool["olivermath"].beaten = 1.0
+    driven = []
+    races = SelfPlayRaces(setup.groups[0], 11, Matchmaker(), setup.tracks, tmp_path)
+    with closing(races) as envs:
+        envs.seed(1)
+        for _ in range(8):
+            envs.reset()
+            driven += [env.race.track for env in envs.races.races]
+        for _ in range(2):
+            envs.step(np.zeros((4, 5), int))
+    assert driven.count("lighthouse") > 18  # of 32; a half and a quarter are expected
+    assert driven.count("olivermath") > 0
+    assert setup.tracks.pool["olivermath"].races + setup.tracks.pool["lighthouse"].races == 2
 
 
 @pytest.mark.slow

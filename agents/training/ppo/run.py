@@ -61,6 +61,8 @@ class PPOSetup:
         bootstraps_finish: whether returns go on after the finish.
         hold: minimum steps of a drift without plans; ``None`` without an action filter.
         matchmaker: determines the opponents.
+        tracks: determines the tracks; in it, the game's AI is an opponent on each track. Only SB3's
+            races use it.
         past: folder of the past selves; ``None`` for the run's own folder.
     """
 
@@ -71,6 +73,7 @@ class PPOSetup:
     bootstraps_finish: bool = False
     hold: int | None = None
     matchmaker: Matchmaker = field(default_factory=Matchmaker)
+    tracks: Matchmaker = field(default_factory=Matchmaker)
     past: Path | None = None
 
 
@@ -84,6 +87,7 @@ class PPOFacts:
         iteration: number of iterations so far.
         recent: the latest races of learners.
         duels: results of the duels with past selves.
+        tracks: results on each track.
     """
 
     history: Annotated[list[dict[str, Any]], Meta(min_length=1)]
@@ -91,6 +95,7 @@ class PPOFacts:
     iteration: Count
     recent: tuple[KartRace, ...]
     duels: DuelResults
+    tracks: DuelResults = field(default_factory=DuelResults)
 
 
 class TrainingRun(ABC):
@@ -188,6 +193,7 @@ class TrainingRun(ABC):
             "iteration": self.iteration,
             "recent": [asdict(finish) for finish in self.recent],
             "duels": self.matchmaker.state(),
+            "tracks": self._setup.tracks.state(),
         }
         save_checkpoint(self.folder, facts, {"network": self.network.state()})
 
@@ -221,6 +227,7 @@ class TrainingRun(ABC):
         remove_later_policies(self.folder, self.kart_steps)
         self.recent.extend(facts.recent)
         self.matchmaker.restore(facts.duels)
+        self._setup.tracks.restore(facts.tracks)
         with reading_checkpoint(self.folder):
             self.network.restore(state["network"])
 

@@ -4,9 +4,9 @@
 
 One policy sees the view ``racing`` and drives the agents of several races. In half of the races,
 one of its past selves drives half of these karts; hard opponents are drawn more often. Half of the
-races start on the grid; the others start anywhere on the tracks and are short. Half of the karts,
-drawn for each race, drive mirrored left to right. The reward is the distance driven plus places
-gained.
+races are on any track, the others more often on tracks where the policy is slow. Half of the races
+start on the grid; the others start anywhere on the tracks and are short. Half of the karts, drawn
+for each race, drive mirrored left to right. The reward is the distance driven plus places gained.
 
     --init FILE     start from the weights of another run, or of imitation
     --races 4+1x5   five races of four agents and one bot, which the game's AI drives
@@ -86,7 +86,7 @@ _REWARD = Reward(
     {"advance": rewards.advance, "places": rewards.overtaking}, {"places": 0.3}, {"advance": 5.0}
 )
 #: Options of the races on the grid, which are long enough for a lap.
-_GRID = {"start": None, "max_cycles": 1200}
+_GRID: dict[str, Any] = {"start": None, "max_cycles": 1200}
 #: Figures of the log to show.
 _SHOWN = ("pace", "finished", "position", "beaten")
 
@@ -150,6 +150,9 @@ def selfplay_setup(arguments: SB3Arguments) -> PPOSetup:
         "reward": _REWARD,
     }
     hidden, init = arguments.hidden, arguments.init
+    tracks = Matchmaker(PRIORITIZED, len(arguments.tracks))
+    for name in arguments.tracks:
+        tracks.add(name)
     return PPOSetup(
         groups=(ActorRaces(lineup.races, options, has_rivals=True),),
         make_network=partial(
@@ -158,6 +161,7 @@ def selfplay_setup(arguments: SB3Arguments) -> PPOSetup:
         read_first=partial(racing_weights, init, hidden) if init else None,
         hold=arguments.hold,
         matchmaker=Matchmaker(PRIORITIZED, arguments.pool_size, arguments.snapshot_share),
+        tracks=tracks,
     )
 
 
@@ -173,6 +177,7 @@ class SelfPlayRaces(RaceVecEnv):
         group: the races.
         hold: minimum steps of a drift.
         matchmaker: determines the opponents; updated with the results.
+        tracks: determines the tracks of half of the races; updated with the paces on each track.
         past: folder of the past selves.
 
     Attributes:
@@ -181,14 +186,25 @@ class SelfPlayRaces(RaceVecEnv):
         paces: their speeds over the mean speed of the game's AI in such races.
     """
 
-    def __init__(self, group: ActorRaces, hold: int, matchmaker: Matchmaker, past: Path) -> None:
+    def __init__(
+        self,
+        group: ActorRaces,
+        hold: int,
+        matchmaker: Matchmaker,
+        tracks: Matchmaker,
+        past: Path,
+    ) -> None:
         super().__init__(group.num_races, **group.options)
         num_grid = (group.num_races + 1) // 2
-        self.races.set_options([_GRID] * num_grid + [{}] * (group.num_races - num_grid))
+        lengths = [_GRID] * num_grid + [{}] * (group.num_races - num_grid)
+        self._lengths, self._options = lengths, list(lengths)
+        self.races.set_options(self._options)
         self.observation_space = spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32)
         view = FilteredView(self.num_envs, hold)
         self._mirrored = MirroredRaces(self.races, view, MIRROR_SHARE)
-        self._company, self._matchmaker, self._past = group.company, matchmaker, past
+        self._company, self._past = group.company, past
+        self._matchmaker, self._tracks = matchmaker, tracks
+        self._names = [""] * group.num_races
         self._seats = RivalSeats(group.num_races, group.num_agents)
         self._drivers: dict[str, MlpDriver] = {}
         self._random = np.random.default_rng()
@@ -205,6 +221,8 @@ class SelfPlayRaces(RaceVecEnv):
 
     def reset(self) -> FloatArray:
         """Starts new races; returns the observations of all slots."""
+        for race in range(self.races.num_races):
+            self._draw_track(race)
         self._seen, _ = self._mirrored.reset(seed=int(self._random.integers(2**31)))
         for race in range(self.races.num_races):
             self._begin_race(race)
@@ -244,13 +262,22 @@ class SelfPlayRaces(RaceVecEnv):
         return self._seen, rewards, ended | ~learns, by_slot
 
     def _begin_race(self, race: int) -> None:
-        """Draws the drivers of a race that begins."""
+        """Draws the drivers of a race that begins, and the track of the next one."""
         env: Any = self.races.races[race]
         facts = env.race
         seconds = ai_time(facts.track, facts.reverse, facts.difficulty)
         self._ai_speeds[race] = env.track_map.length / seconds
         opponent = draw_opponent(self._matchmaker.odds(), self._random)
         self._seats.seat(race, opponent, self._random)
+        self._names[race] = facts.track
+        self._draw_track(race)
+
+    def _draw_track(self, race: int) -> None:
+        """Draws whether the next race is on a track where the learner is slow, or on any track."""
+        if self._tracks.pool:
+            name = draw_opponent(self._tracks.odds(), self._random)
+            self._options[race] = self._lengths[race] | ({"track": name} if name else {})
+            self.races.set_options(self._options)
 
     def _end(self, slot: int, last: Mapping[str, Any], *, is_finished: bool) -> None:
         """Records the end of a kart's race, and of the race if it was the last kart."""
@@ -260,6 +287,8 @@ class SelfPlayRaces(RaceVecEnv):
             meters = max(10 * float(last["episode/reward/advance"][slot]), 1.0)
             of_ai = STEP * int(last["episode"]["l"][slot]) * float(self._ai_speeds[race, agent])
             ratio = of_ai / meters if is_finished else None
+            if track := self._tracks.pool.get(self._names[race]):
+                track.update(min(meters / of_ai, 1.0))
             reward = float(last["episode"]["r"][slot])
             self.finishes.append(KartRace(self._company, reward, position, ratio))
         if self._seats.end(slot, position):
@@ -329,7 +358,9 @@ class SB3Run(TrainingRun):
     def _make_races(self) -> Callable[[], None]:
         setup, arguments = self._setup, self.arguments
         Distribution.set_default_validate_args(False)  # saves a fifth of the learning time
-        self._races = SelfPlayRaces(setup.groups[0], arguments.hold, self.matchmaker, self.folder)
+        self._races = SelfPlayRaces(
+            setup.groups[0], arguments.hold, self.matchmaker, setup.tracks, self.folder
+        )
         with warnings.catch_warnings():
             # Batches may differ in size: the buffer leaves out idle slots.
             warnings.filterwarnings("ignore", "You have specified a mini-batch size")
