@@ -204,7 +204,7 @@ class SelfPlayRaces(RaceVecEnv):
         self._mirrored = MirroredRaces(self.races, view, MIRROR_SHARE)
         self._company, self._past = group.company, past
         self._matchmaker, self._tracks = matchmaker, tracks
-        self._names = [""] * group.num_races
+        self._track_names = [""] * group.num_races
         self._seats = RivalSeats(group.num_races, group.num_agents)
         self._drivers: dict[str, MlpDriver] = {}
         self._random = np.random.default_rng()
@@ -269,7 +269,7 @@ class SelfPlayRaces(RaceVecEnv):
         self._ai_speeds[race] = env.track_map.length / seconds
         opponent = draw_opponent(self._matchmaker.odds(), self._random)
         self._seats.seat(race, opponent, self._random)
-        self._names[race] = facts.track
+        self._track_names[race] = facts.track
         self._draw_track(race)
 
     def _draw_track(self, race: int) -> None:
@@ -287,7 +287,7 @@ class SelfPlayRaces(RaceVecEnv):
             meters = max(10 * float(last["episode/reward/advance"][slot]), 1.0)
             of_ai = STEP * int(last["episode"]["l"][slot]) * float(self._ai_speeds[race, agent])
             ratio = of_ai / meters if is_finished else None
-            if track := self._tracks.pool.get(self._names[race]):
+            if track := self._tracks.pool.get(self._track_names[race]):
                 track.update(min(meters / of_ai, 1.0))
             reward = float(last["episode"]["r"][slot])
             self.finishes.append(KartRace(self._company, reward, position, ratio))
