@@ -222,7 +222,7 @@ class SelfPlayRaces(RaceVecEnv):
     def reset(self) -> FloatArray:
         """Starts new races; returns the observations of all slots."""
         for race in range(self.races.num_races):
-            self._draw_track(race)
+            self._draw_track(race)  # the run that saved the checkpoint has drawn other ones
         self._seen, _ = self._mirrored.reset(seed=int(self._random.integers(2**31)))
         for race in range(self.races.num_races):
             self._begin_race(race)
