@@ -1,7 +1,10 @@
 """Sends its answer to the next request together with the current one."""
 
+import os
+
 from stkzoo.drivers.isolated import Channel
 from stkzoo.drivers.messages import Decided, encode
+from stkzoo.drivers.replies import LENGTH
 
 send = Channel.send
 
@@ -11,8 +14,7 @@ def send_ahead(channel, message):
         send(channel, message)
         return
     data = encode(message)
-    for _ in range(2):
-        channel._connection.send_bytes(data)
+    os.write(channel._connection.fileno(), 2 * (LENGTH.pack(len(data)) + data))
 
 
 Channel.send = send_ahead
