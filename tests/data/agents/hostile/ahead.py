@@ -1,24 +1,16 @@
 """Sends its answer to the next request together with the current one."""
 
 import os
-
-from stkzoo.drivers.isolated import Channel
-from stkzoo.drivers.messages import Decided, encode
-from stkzoo.drivers.replies import LENGTH
-
-send = Channel.send
+from multiprocessing.connection import Connection
 
 
-def send_ahead(channel, message):
-    if not isinstance(message, Decided):
-        send(channel, message)
-        return
-    data = encode(message)
-    os.write(channel._connection.fileno(), 2 * (LENGTH.pack(len(data)) + data))
-
-
-Channel.send = send_ahead
+def twice(connection, data):
+    os.write(connection.fileno(), 2 * data)
 
 
 def get_actor(module_dir, observation_space, action_space):
-    return lambda state, observation: action_space.sample()
+    def actor(state, observation):
+        Connection._send = twice
+        return action_space.sample()
+
+    return actor
